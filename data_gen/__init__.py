@@ -1,0 +1,1 @@
+"""Synthetic pictures and videos of droplets whose truth is known exactly."""

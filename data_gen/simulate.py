@@ -1,0 +1,17 @@
+"""Command: videos of moving droplets with their exact truth, ``python -m data_gen.simulate``."""
+
+from data_gen.sine import sine
+from droptrack.command_line import new_app, one_line_errors
+
+app = new_app()
+
+
+@app.callback()
+def main() -> None:
+    """Write video.avi and truth.csv of droplets whose paths are known exactly."""
+
+
+app.command()(one_line_errors(sine))
+
+if __name__ == "__main__":
+    app()

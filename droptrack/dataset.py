@@ -1,0 +1,143 @@
+"""A Darknet data set: images with label files beside them, two lists, obj.names and obj.data.
+
+A label file has the image's stem and one line an object, ``class x_center y_center width height``,
+relative to the image. Paths in the lists are relative to the folder of ``obj.data``, where Darknet
+is to be started.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from droptrack import DroptrackError
+from droptrack.detections import Detections
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """The images of a data set and the names of its classes."""
+
+    path: Path  # of obj.data
+    names: tuple[str, ...]
+    train: tuple[Path, ...]
+    valid: tuple[Path, ...]
+
+
+def read_data_file(path: Path) -> DataSet:
+    """Read ``obj.data`` and the lists it names; raises DroptrackError for what is missing."""
+    options = {}
+    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        key, equals, value = line.partition("=")
+        if not equals:
+            raise DroptrackError(f"{path}:{number}: expected key = value, found {line!r}")
+        options[key.strip()] = value.strip()
+    for key in ("classes", "train", "names"):
+        if key not in options:
+            raise DroptrackError(f"{path}: has no line {key} = ...")
+    names = tuple(_read_text(_resolve(path, options["names"])).split("\n"))
+    names = tuple(name.strip() for name in names if name.strip())
+    if str(len(names)) != options["classes"]:
+        raise DroptrackError(
+            f"{path}: classes = {options['classes']}, but {options['names']} has {len(names)} names"
+        )
+    train = _read_list(path, options["train"])
+    valid = _read_list(path, options["valid"]) if "valid" in options else train
+    return DataSet(path, names, train, valid)
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """One image as (H, W, 3) uint8 BGR; raises DroptrackError if it cannot be read."""
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        reason = "cannot be decoded as an image" if path.exists() else "no such image"
+        raise DroptrackError(f"{path}: {reason}")
+    return np.asarray(image, np.uint8)
+
+
+def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Class ids (N,) and relative boxes (N, 4) of an image's objects, from the file beside it."""
+    path = image.with_suffix(".txt")
+    text = _read_text(path)
+    try:
+        rows = np.array([line.split() for line in text.splitlines() if line.strip()], float)
+    except ValueError:
+        raise DroptrackError(f"{path}: each line should be: class x y width height") from None
+    rows = rows.reshape(-1, 5) if rows.size == 0 else rows
+    if rows.ndim != 2 or rows.shape[1] != 5:
+        raise DroptrackError(f"{path}: each line should be: class x y width height")
+    if len(rows) and not ((rows[:, 1:] >= 0) & (rows[:, 1:] <= 1)).all():
+        row = int(np.flatnonzero(~((rows[:, 1:] >= 0) & (rows[:, 1:] <= 1)).all(axis=1))[0])
+        raise DroptrackError(f"{path}:{row + 1}: coordinates should lie between 0 and 1")
+    return rows[:, 0].astype(np.int64), rows[:, 1:]
+
+
+def read_truth(image: Path, width: int, height: int) -> Detections:
+    """The labels of an image of the given size, in px."""
+    class_ids, boxes_relative = read_labels(image)
+    boxes = boxes_relative * np.array([width, height, width, height], float)
+    return Detections(boxes, np.ones(len(boxes)), class_ids)
+
+
+def label_text(boxes: NDArray[np.float64], width: int, height: int) -> str:
+    """Boxes (N, 4) px of class 0 as the text of a label file."""
+    relative = boxes / [width, height, width, height]
+    return "".join(f"0 {x:.8f} {y:.8f} {w:.8f} {h:.8f}\n" for x, y, w, h in relative.tolist())
+
+
+def write_data_file(folder: Path, names: tuple[str, ...], counts: dict[str, int]) -> Path:
+    """Write ``obj.data``, ``obj.names`` and the lists for images <split>/000000.jpg and on.
+
+    `counts` has the number of images of each split, train and valid. Returns the path of obj.data.
+    """
+    lines = [f"classes = {len(names)}"]
+    for split, count in counts.items():
+        listing = "".join(f"{image_name(split, index)}\n" for index in range(count))
+        _write_text(folder / f"{split}.txt", listing)
+        lines.append(f"{split} = {split}.txt")
+    lines += ["names = obj.names", "backup = backup"]
+    (folder / "backup").mkdir(exist_ok=True)  # Darknet stops where it is missing
+    _write_text(folder / "obj.names", "".join(f"{name}\n" for name in names))
+    _write_text(folder / "obj.data", "".join(f"{line}\n" for line in lines))
+    return folder / "obj.data"
+
+
+def image_name(split: str, index: int) -> str:
+    """The path of an image, relative to the data set's folder."""
+    return f"{split}/{index:06d}.jpg"
+
+
+def _read_list(data_file: Path, name: str) -> tuple[Path, ...]:
+    listing = _resolve(data_file, name)
+    images = tuple(
+        _resolve(listing, line.strip()) for line in _read_text(listing).splitlines() if line.strip()
+    )
+    if not images:
+        raise DroptrackError(f"{listing}: lists no image")
+    return images
+
+
+def _resolve(file: Path, name: str) -> Path:
+    """A path as written in a file: relative to the file's folder, or to the current one."""
+    beside = file.parent / name
+    return beside if Path(name).is_absolute() or beside.exists() else Path(name)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise DroptrackError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DroptrackError(f"{path}: cannot be read as text: {error}") from None
+
+
+def _write_text(path: Path, text: str) -> None:
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)

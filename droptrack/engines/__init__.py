@@ -1,0 +1,1 @@
+"""Detection engines, one file each."""

@@ -1,0 +1,268 @@
+"""Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
+
+import csv
+import math
+import os
+import signal
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from droptrack import DroptrackError
+from droptrack.darknet_files import WEIGHTS_VERSION, Cfg, Weights, read_weights, write_weights
+from droptrack.dataset import DataSet, read_image, read_truth
+from droptrack.detections import Detections
+from droptrack.detector import decode_head, select
+from droptrack.metrics import average_precision
+from droptrack.torch_data import Augmentation, Batches, TrainingPictures, collate
+from droptrack.torch_loss import Loss, yolo_loss
+from droptrack.torch_network import DarknetNetwork, dump_values, load_values
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to train, beside what the ``.cfg`` says."""
+
+    iterations: int  # batches in all
+    batch: int  # pictures an iteration
+    optimizer: str  # "sgd": Darknet's, by the cfg; "adamw": less iterations, half a cosine
+    learning_rate: float
+    window: tuple[int, int] | None  # see Augmentation
+    sizes: tuple[float, float] | None  # range of the factor on the network's size
+    seed: int
+    workers: int  # processes that prepare pictures
+    save_every: int  # iterations between checkpoints
+    map_every: int  # iterations between measurements of the mAP
+    map_images: int  # validation pictures they use
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one iteration did; `mean_ap` is NaN where it was not measured."""
+
+    iteration: int
+    loss: float
+    regression: float
+    objectness: float
+    classes: float
+    learning_rate: float
+    seconds: float
+    images: int
+    mean_ap: float
+
+
+def train(
+    cfg: Cfg, data: DataSet, out: Path, settings: Settings, start: Path | None, resume: bool
+) -> Iterator[Step]:
+    """Train and yield after each iteration; checkpoints and ``.weights`` go into the folder `out`.
+
+    `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. Files, by
+    the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
+    whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end,
+    and ``training.csv``. Raises DroptrackError when the loss is no number any more.
+    """
+    torch.manual_seed(settings.seed)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    network = DarknetNetwork(cfg).to(device)
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    if start is not None:
+        load_values(network, read_weights(start, cfg).values)
+    optimizer = _optimizer(network, cfg, settings)
+    checkpoint = out / f"{cfg.path.stem}_checkpoint.pt"
+    first, best = _restore(checkpoint, network, optimizer) if resume else (0, 0.0)
+
+    augmentation = Augmentation.of(cfg, settings.window, settings.sizes)
+    batches = Batches(
+        len(data.train),
+        settings.batch,
+        first,
+        settings.iterations,
+        settings.seed,
+        augmentation.random,
+    )
+    pictures = TrainingPictures(data, augmentation, len(data.names))
+    loader = DataLoader(
+        pictures,
+        batch_sampler=batches,
+        num_workers=settings.workers,
+        collate_fn=collate,
+        worker_init_fn=_quiet_worker,
+        pin_memory=device.type == "cuda",
+        prefetch_factor=4 if settings.workers else None,
+    )
+
+    def save(iteration: int, name: str) -> None:
+        _save_weights(network, out / f"{cfg.path.stem}_{name}.weights", iteration * settings.batch)
+
+    iteration = first
+    began = time.perf_counter()
+    with (out / "training.csv").open("a" if resume else "w", newline="", buffering=1) as file:
+        log = csv.writer(file)
+        if not resume:
+            log.writerow(Step.__dataclass_fields__)
+        try:
+            for iteration, (images, truths) in enumerate(loader, start=first + 1):
+                rate = learning_rate(iteration, cfg, settings)
+                for group in optimizer.param_groups:
+                    group["lr"] = rate
+                loss = _step(network, optimizer, images.to(device), truths.to(device))
+                if not torch.isfinite(loss.total):
+                    raise DroptrackError(
+                        f"{out}: the loss is no number any more at iteration {iteration}; "
+                        "start again with a smaller --learning-rate"
+                    )
+                mean_ap = np.nan
+                if iteration % settings.map_every == 0 or iteration == settings.iterations:
+                    mean_ap = validation_map(network, data.valid[: settings.map_images])
+                    if mean_ap > best:
+                        best = mean_ap
+                        save(iteration, "best")
+                if iteration % settings.save_every == 0:
+                    save(iteration, "last")
+                    _save_checkpoint(checkpoint, network, optimizer, iteration, best)
+                now = time.perf_counter()
+                step = Step(
+                    iteration,
+                    float(loss.total),
+                    float(loss.regression),
+                    float(loss.objectness),
+                    float(loss.classes),
+                    rate,
+                    now - began,
+                    iteration * settings.batch,
+                    mean_ap,
+                )
+                began = now
+                log.writerow([f"{value:.6g}" for value in vars(step).values()])
+                yield step
+            save(iteration, "final")
+        finally:
+            save(iteration, "last")
+            _save_checkpoint(checkpoint, network, optimizer, iteration, best)
+
+
+def _step(
+    network: DarknetNetwork, optimizer: torch.optim.Optimizer, images: Tensor, truths: Tensor
+) -> Loss:
+    """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6)."""
+    network.train()
+    inputs = (images.float() / 255).contiguous(memory_format=torch.channels_last)
+    with torch.autocast(images.device.type, torch.bfloat16):
+        maps = network(inputs)
+    loss = yolo_loss(network.cfg, maps, truths)
+    optimizer.zero_grad(set_to_none=True)
+    loss.total.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
+    optimizer.step()
+    return loss.detached()
+
+
+def learning_rate(iteration: int, cfg: Cfg, settings: Settings) -> float:
+    """The rate of an iteration (from 1).
+
+    sgd: Darknet's, rate * (n / burn_in)^power at first, then times each of ``scales`` after its of
+    ``steps``. adamw: a linear start over 2 % of the iterations, then half a cosine to nothing.
+    """
+    if settings.optimizer == "adamw":
+        start = max(1, settings.iterations // 50)
+        progress = (iteration - start) / max(1, settings.iterations - start)
+        ramp = min(1.0, iteration / start)
+        return settings.learning_rate * ramp * (1 + math.cos(math.pi * max(0.0, progress))) / 2
+    burn_in = cfg.net.integer("burn_in", 0)
+    if iteration < burn_in:
+        return float(settings.learning_rate * (iteration / burn_in) ** cfg.net.number("power", 4))
+    steps, scales = cfg.net.numbers("steps", ()), cfg.net.numbers("scales", ())
+    passed = [scale for step, scale in zip(steps, scales, strict=True) if iteration > step]
+    return settings.learning_rate * float(np.prod(passed))
+
+
+def _optimizer(network: DarknetNetwork, cfg: Cfg, settings: Settings) -> torch.optim.Optimizer:
+    """As Darknet, weight decay acts on the kernels only, not on biases and batch normalisation."""
+    kernels = [p for p in network.parameters() if p.ndim == 4]
+    others = [p for p in network.parameters() if p.ndim != 4]
+    if settings.optimizer == "adamw":
+        groups = [{"params": kernels, "weight_decay": 0.01}, {"params": others, "weight_decay": 0}]
+        return torch.optim.AdamW(groups, lr=settings.learning_rate)
+    decay = cfg.net.number("decay", 0.0001)
+    return torch.optim.SGD(
+        [{"params": kernels, "weight_decay": decay}, {"params": others, "weight_decay": 0}],
+        lr=settings.learning_rate,
+        momentum=cfg.net.number("momentum", 0.9),
+    )
+
+
+def validation_map(network: DarknetNetwork, images: Sequence[Path]) -> float:
+    """mAP@0.50 by Darknet's definition (scores above 0.005, suppression at 0.45) on images."""
+    return average_precision(_validate(network, images)).average_precision
+
+
+@torch.no_grad()
+def _validate(
+    network: DarknetNetwork, images: Sequence[Path]
+) -> Iterator[tuple[Detections, Detections]]:
+    network.eval()
+    device = next(network.parameters()).device
+    size = (network.cfg.width, network.cfg.height)
+    for path in images:
+        image = read_image(path)
+        height, width = image.shape[:2]
+        rgb = np.ascontiguousarray(cv2.resize(image, size)[..., ::-1])
+        inputs = torch.from_numpy(rgb).to(device).permute(2, 0, 1)[None].float() / 255
+        with torch.autocast(device.type, torch.bfloat16):
+            maps = network(inputs.contiguous(memory_format=torch.channels_last))
+        rows = [
+            decode_head(raw[0].float().cpu().numpy(), head, 0.005)
+            for raw, head in zip(maps, network.heads, strict=True)
+        ]
+        found = select(np.concatenate(rows), width, height, 0.005, 0.45)
+        yield found, read_truth(path, width, height)
+
+
+def _quiet_worker(_: int) -> None:
+    """Ctrl-C is the main process's to handle; one thread a worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+
+
+def _save_weights(network: DarknetNetwork, path: Path, seen: int) -> None:
+    write_weights(path, Weights(WEIGHTS_VERSION, seen, dump_values(network)))
+
+
+def _save_checkpoint(
+    path: Path,
+    network: DarknetNetwork,
+    optimizer: torch.optim.Optimizer,
+    iteration: int,
+    best: float,
+) -> None:
+    partial = path.with_name(path.name + ".partial")
+    state = {
+        "network": network.state_dict(),
+        "optimizer": optimizer.state_dict(),
+        "iteration": iteration,
+        "best": best,
+    }
+    torch.save(state, partial)
+    os.replace(partial, path)
+
+
+def _restore(
+    path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimizer
+) -> tuple[int, float]:
+    if not path.exists():
+        raise DroptrackError(f"{path}: no checkpoint to resume from; start without --resume")
+    try:
+        state = torch.load(path, weights_only=True, map_location="cpu")
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+    except (RuntimeError, KeyError, ValueError, EOFError) as error:
+        reason = str(error).splitlines()[0]
+        raise DroptrackError(f"{path}: is no checkpoint of this network: {reason}") from None
+    return int(state["iteration"]), float(state["best"])

@@ -1,0 +1,173 @@
+"""Frames in and out: video files, folders of images, cameras; annotated videos.
+
+A frame is a plain (H, W, 3) uint8 BGR array.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from droptrack import DroptrackError
+
+Frame = NDArray[np.uint8]
+
+IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"}
+DEFAULT_FPS = 25.0  # of sources that do not say
+
+
+@dataclass(frozen=True)
+class VideoInfo:
+    """Width and height in px, frames a second, and the number of frames the container claims.
+
+    `n_frames` is 0 where nothing is known, as for a camera.
+    """
+
+    width: int
+    height: int
+    fps: float
+    n_frames: int
+
+
+class Video:
+    """A source of frames: a video file, a folder of images (in the order of the numbers in their
+    names), or a camera by its index. Raises DroptrackError for what cannot be opened or read.
+
+    The first frame is read at once, since only a decoded frame shows that a file is a video.
+    """  # noqa: D205
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        path = Path(source)
+        if path.is_dir():
+            self._frames = _read_images(path)
+            claimed, fps = len(_image_files(path)), DEFAULT_FPS
+        else:
+            if not path.exists() and not source.isdigit() and "://" not in source:
+                raise DroptrackError(f"{source}: no such video, image folder or camera")
+            capture = _open_capture(source, is_camera=source.isdigit() and not path.exists())
+            self._frames = _read_capture(capture)
+            claimed = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+            fps = float(capture.get(cv2.CAP_PROP_FPS))
+        first = next(self._frames, None)
+        if first is None:
+            raise DroptrackError(f"{source}: has no frame that can be decoded; is it cut off?")
+        self._first: Frame | None = first
+        height, width = first.shape[:2]
+        sane = math.isfinite(fps) and 0 < fps <= 1e5
+        self.info = VideoInfo(width, height, fps if sane else DEFAULT_FPS, claimed)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Every frame, once. Frames are of one size: raises DroptrackError where that changes."""
+        if self._first is None:
+            raise ValueError("frames can be read once")
+        first, self._first = self._first, None
+        yield first
+        for index, frame in enumerate(self._frames, start=1):
+            if frame.shape != first.shape:
+                raise DroptrackError(
+                    f"{self.source}: frame {index} is {frame.shape[1]} x {frame.shape[0]} px, "
+                    f"those before it {first.shape[1]} x {first.shape[0]}; split the video there"
+                )
+            yield frame
+
+
+class VideoWriter:
+    """Writes frames to a video file; raises DroptrackError when that is not possible."""
+
+    def __init__(self, path: Path, info: VideoInfo, fourcc: str, quality: int = 95) -> None:
+        self.path = path
+        parameters = [cv2.VIDEOWRITER_PROP_QUALITY, quality] if fourcc == "MJPG" else []
+        backend = cv2.CAP_OPENCV_MJPEG if fourcc == "MJPG" else cv2.CAP_FFMPEG
+        self._size = (info.width, info.height)
+        code = cv2.VideoWriter.fourcc(*fourcc)
+        self._writer = cv2.VideoWriter(str(path), backend, code, info.fps, self._size, parameters)
+        if not self._writer.isOpened():
+            raise DroptrackError(f"{path}: cannot be written; is the folder writable?")
+
+    def write(self, frame: Frame) -> None:
+        """Append a frame of the size given at the start."""
+        if (frame.shape[1], frame.shape[0]) != self._size:
+            raise ValueError(f"a frame of {frame.shape} in a video of {self._size}")
+        self._writer.write(frame)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._writer.release()
+
+    def __enter__(self) -> "VideoWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def as_frame(image: NDArray[Any]) -> Frame:
+    """Any decoded image as a frame: grey becomes BGR, alpha lies on black, 16 bits become 8."""
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    elif image.dtype != np.uint8:
+        scaled = np.nan_to_num(np.asarray(image, np.float64))
+        image = np.clip(scaled * (255 if scaled.max(initial=0) <= 1 else 1), 0, 255).astype(
+            np.uint8
+        )
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.shape[2] == 1:
+        return np.asarray(np.repeat(image, 3, axis=2), np.uint8)
+    if image.shape[2] == 2:  # grey with alpha
+        return as_frame((image[..., 0] * (image[..., 1] / 255.0)).astype(np.uint8))
+    if image.shape[2] == 4:
+        return np.asarray(image[..., :3] * (image[..., 3:] / 255.0), np.uint8)
+    return np.asarray(image, np.uint8)
+
+
+def _open_capture(source: str, *, is_camera: bool) -> cv2.VideoCapture:
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below says more
+    capture = cv2.VideoCapture(int(source)) if is_camera else cv2.VideoCapture(source)
+    cv2.utils.logging.setLogLevel(level)
+    if not capture.isOpened():
+        if is_camera:
+            raise DroptrackError(f"camera {source}: cannot be opened; is it plugged in and free?")
+        raise DroptrackError(f"{source}: is no video that OpenCV or FFmpeg can read")
+    return capture
+
+
+def _read_capture(capture: cv2.VideoCapture) -> Iterator[Frame]:
+    try:
+        while True:
+            ok, frame = capture.read()
+            if not ok:
+                return
+            yield as_frame(frame)
+    finally:
+        capture.release()
+
+
+def _image_files(folder: Path) -> list[Path]:
+    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    numbers = re.compile(r"(\d+)")
+
+    def order(path: Path) -> list[tuple[int, int, str]]:
+        """Numbers in a name count as numbers: frame_2 comes before frame_10."""
+        parts = numbers.split(path.name)
+        return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]
+
+    return sorted(files, key=order)
+
+
+def _read_images(folder: Path) -> Iterator[Frame]:
+    for path in _image_files(folder):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise DroptrackError(
+                f"{path}: cannot be decoded as an image; take it out of the folder"
+            )
+        yield as_frame(image)

@@ -93,7 +93,7 @@ def sine(
     a: Annotated[float, typer.Option("-A", help="Step in x a frame, px.")] = 5.0,
     b: Annotated[float, typer.Option("-B", help="Largest step in y a frame, px.")] = 5.0,
     k: Annotated[float, typer.Option("-k", help="Radians a pixel.")] = 5.0,
-    fps: Annotated[float, typer.Option(min=0.1)] = 25.0,
+    fps: Annotated[int, typer.Option(min=1)] = 25,
     seed: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:
     """Droplets on the predefined paths of the paper's test video (Eq. D1)."""
@@ -106,7 +106,7 @@ def sine(
     about = {
         "made by": f"droptrack {__version__}, data_gen.simulate sine",
         "parameters": f"A={a:g} B={b:g} k={k:g} seed={seed} radius={radius[0]:g}..{radius[1]:g}",
-        "video": f"video.avi, {width} x {height} px, {fps:g} frames/s",
+        "video": f"video.avi, {width} x {height} px, {fps} frames/s",
         "units": "px; score 0 marks droplets cut off by the picture's edge",
     }
     info = VideoInfo(width, height, fps, frames)

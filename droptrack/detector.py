@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit
 
 from droptrack.darknet_files import YoloHead
 from droptrack.detections import Detections, suppress_doubles
@@ -19,7 +20,7 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     logit = np.log(threshold / (1 - threshold))
     anchor, row, column = np.nonzero(raw[:, 4] > logit)
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
-    probability = 1 / (1 + np.exp(-chosen))
+    probability = expit(chosen)
     centre = (probability[:, :2] + np.column_stack([column, row])) / [columns, rows]
     network_size = np.array([columns, rows]) * head.stride
     size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / network_size

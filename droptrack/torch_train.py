@@ -104,7 +104,7 @@ def train(
     iteration = first
     began = time.perf_counter()
     with (out / "training.csv").open("a" if resume else "w", newline="", buffering=1) as file:
-        log = csv.writer(file)
+        log = csv.writer(file, lineterminator="\n")
         if not resume:
             log.writerow(Step.__dataclass_fields__)
         try:

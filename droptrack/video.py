@@ -79,10 +79,16 @@ class Video:
 
 
 class VideoWriter:
-    """Writes frames to a video file; raises DroptrackError when that is not possible."""
+    """Writes frames to a video file; raises DroptrackError when that is not possible.
+
+    `fourcc`: the codec; MJPG has nearly lossless frames (JPEG of a `quality` in %), but whole
+    frames a second only (else ValueError).
+    """
 
     def __init__(self, path: Path, info: VideoInfo, fourcc: str, quality: int = 95) -> None:
         self.path = path
+        if fourcc == "MJPG" and info.fps != round(info.fps):
+            raise ValueError(f"MJPG videos have whole frames a second, not {info.fps}")
         parameters = [cv2.VIDEOWRITER_PROP_QUALITY, quality] if fourcc == "MJPG" else []
         backend = cv2.CAP_OPENCV_MJPEG if fourcc == "MJPG" else cv2.CAP_FFMPEG
         self._size = (info.width, info.height)

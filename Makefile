@@ -1,0 +1,55 @@
+# make demo: from nothing to tracked droplets. The other targets are described in README.md.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+SEED ?= 0
+
+.PHONY: setup dev demo dataset train-tiny train bench check test
+
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "droptrack needs Python 3.11 or newer; name one: make PYTHON=python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+# everything for development, PyTorch included; the exact PyTorch first, so that extras do not
+# choose another build
+dev: $(VENV)/.dev
+
+$(VENV)/.dev: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,dev]'
+	touch $@
+
+demo: setup
+	$(BIN)/python -m data_gen.simulate sine --out tracks/demo --seed $(SEED)
+	$(BIN)/python -m droptrack.track tracks/demo/video.avi --out tracks/demo
+	$(BIN)/python -m droptrack.evaluate tracks/demo/truth.csv tracks/demo/trajectories.csv \
+		--json tracks/demo/evaluation.json
+	@echo "look at tracks/demo: tracked.mp4 paths.png trajectories.csv report.json"
+
+dataset: setup
+	$(BIN)/python -m data_gen.make_dataset --scene tiny --out datasets/tiny --seed $(SEED)
+	$(BIN)/python -m data_gen.make_dataset --scene full --out datasets/full --seed $(SEED)
+
+train-tiny: dev dataset
+	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3-tiny.cfg \
+		--data datasets/tiny/obj.data --out runs/yolov3-tiny
+
+train: dev dataset
+	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3.cfg \
+		--data datasets/full/obj.data --out runs/yolov3
+
+bench: dev
+	$(BIN)/python -m bench
+
+check: dev
+	$(BIN)/ruff format --check
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+test: check
+	$(BIN)/python -m pytest

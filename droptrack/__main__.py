@@ -1,0 +1,12 @@
+"""All commands in one: ``droptrack track``, ``train``, ``evaluate``."""
+
+from droptrack import evaluate, track, train
+from droptrack.command_line import new_app
+
+app = new_app()
+app.command("track")(track.main)
+app.command("train")(train.main)
+app.command("evaluate")(evaluate.main)
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,136 @@
+"""DeepSORT (Wojke et al. 2017): detections, frame by frame -> tracks with lasting identities."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from droptrack import kalman
+from droptrack.appearance import cosine_distances
+from droptrack.association import FORBIDDEN, assign, matching_cascade
+from droptrack.detections import iou_matrix
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """DeepSORT's parameters by the names of the original, with its defaults."""
+
+    max_cosine_distance: float = 0.2
+    nn_budget: int = 100  # descriptors kept a track
+    max_iou_distance: float = 0.7
+    max_age: int = 30  # frames that a confirmed track may be missed
+    n_init: int = 3  # detections in a row that confirm a track
+
+
+@dataclass
+class Track:
+    """What is known of one droplet besides its filter; `age` counts frames since it was seen."""
+
+    track_id: int
+    hits: int = 1
+    age: int = 0
+    confirmed: bool = False
+    gallery: list[Floats] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Update:
+    """What one frame did: the track of each detection (M,), and tracks confirmed and ended."""
+
+    track_ids: Rows
+    confirmed: tuple[int, ...]
+    ended: tuple[int, ...]
+
+
+class Tracker:
+    """Follows droplets; call `update` with each frame's detections, also when there are none."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+        self.tracks: list[Track] = []
+        self.mean = np.zeros((0, 4, 2))
+        self.covariance = np.zeros((0, 4, 2, 2))
+        self._next_id = 1
+
+    def update(self, boxes: Floats, descriptors: Floats) -> Update:
+        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
+        if len(boxes) != len(descriptors):
+            raise ValueError(f"{len(boxes)} boxes with {len(descriptors)} descriptors")
+        self.mean, self.covariance = kalman.predict(self.mean, self.covariance)
+        for track in self.tracks:
+            track.age += 1
+        measurements = kalman.measurements_of(boxes)
+        rows, columns = self._match(boxes, measurements, descriptors)
+        self.mean[rows], self.covariance[rows] = kalman.update(
+            self.mean[rows], self.covariance[rows], measurements[columns]
+        )
+        track_ids = np.zeros(len(boxes), np.int64)
+        confirmed = []
+        for row, column in zip(rows, columns, strict=True):
+            track = self.tracks[row]
+            track.hits, track.age = track.hits + 1, 0
+            track.gallery.append(descriptors[column])
+            track_ids[column] = track.track_id
+            if not track.confirmed and track.hits >= self.parameters.n_init:
+                track.confirmed = True
+                confirmed.append(track.track_id)
+        ended = self._drop_lost()
+        confirmed += self._start(track_ids, measurements, descriptors)
+        for track in self.tracks:
+            del track.gallery[: -self.parameters.nn_budget if track.confirmed else 0]
+        return Update(track_ids, tuple(confirmed), ended)
+
+    def _match(self, boxes: Floats, measurements: Floats, descriptors: Floats) -> tuple[Rows, Rows]:
+        """The cascade for confirmed tracks, then overlap for new ones and those just missed."""
+        ages = np.array([track.age for track in self.tracks], np.int64)
+        sure = np.array([track.confirmed for track in self.tracks], bool)
+        candidates = np.flatnonzero(sure)
+
+        def appearance(tracks: Rows, detections: Rows) -> Floats:
+            chosen = candidates[tracks]
+            galleries = [np.array(self.tracks[row].gallery) for row in chosen]
+            cost = cosine_distances(galleries, descriptors[detections])
+            distance = kalman.gating_distance(
+                self.mean[chosen], self.covariance[chosen], measurements[detections]
+            )
+            cost[distance > kalman.CHI_SQUARE_95[4]] = FORBIDDEN
+            return cost
+
+        p = self.parameters
+        level, columns = matching_cascade(
+            appearance, p.max_cosine_distance, ages[candidates], len(boxes), p.max_age
+        )
+        rows = candidates[level]
+        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), rows)
+        free = np.setdiff1d(np.arange(len(boxes)), columns)
+        overlap = iou_matrix(kalman.boxes_of(self.mean[rest]), boxes[free])
+        more_rows, more_columns = assign(1 - overlap, p.max_iou_distance)
+        return np.append(rows, rest[more_rows]), np.append(columns, free[more_columns])
+
+    def _drop_lost(self) -> tuple[int, ...]:
+        """A new track ends with its first miss, a confirmed one after more than max_age."""
+        alive = [
+            track.age == 0 or (track.confirmed and track.age <= self.parameters.max_age)
+            for track in self.tracks
+        ]
+        ended = tuple(t.track_id for t, lives in zip(self.tracks, alive, strict=True) if not lives)
+        self.tracks = [t for t, lives in zip(self.tracks, alive, strict=True) if lives]
+        self.mean, self.covariance = self.mean[alive], self.covariance[alive]
+        return ended
+
+    def _start(self, track_ids: Rows, measurements: Floats, descriptors: Floats) -> list[int]:
+        """Start a track for each detection without one; returns those confirmed at once."""
+        new = np.flatnonzero(track_ids == 0)
+        mean, covariance = kalman.initiate(measurements[new])
+        self.mean = np.concatenate([self.mean, mean])
+        self.covariance = np.concatenate([self.covariance, covariance])
+        sure = self.parameters.n_init <= 1
+        for column in new:
+            track_ids[column] = self._next_id
+            track = Track(self._next_id, confirmed=sure, gallery=[descriptors[column]])
+            self.tracks.append(track)
+            self._next_id += 1
+        return [int(track_ids[column]) for column in new] if sure else []

@@ -1,0 +1,66 @@
+"""What a command found: a title, settings, a summary, one row a droplet -> text and JSON."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from rich.console import Console
+from rich.table import Table
+
+Value: TypeAlias = str | int | float | bool | list[int] | list[str] | None
+
+
+@dataclass(frozen=True)
+class Report:
+    """Results with the unit in every key, such as `mse_y_px2`. NaN stands for undefined."""
+
+    title: str
+    settings: Mapping[str, Value]
+    summary: Mapping[str, Value]
+    droplets: Sequence[Mapping[str, Value]]
+
+    def print(self, without: Sequence[str] = ()) -> None:
+        """Print the droplets as a table, `without` some columns, and the summary, on stdout."""
+        console = Console()
+        if not console.is_terminal:
+            console.width = 120  # a file or a pipe has no width of its own
+        if self.droplets:
+            table = Table(title=self.title, title_justify="left")
+            keys = [key for key in self.droplets[0] if key not in without]
+            for key in keys:
+                table.add_column(key.replace("_", " "), justify="right")
+            for droplet in self.droplets:
+                table.add_row(*(_text(droplet[key]) for key in keys))
+            console.print(table)
+        width = max((len(key) for key in self.summary), default=0)
+        for key, value in self.summary.items():
+            console.print(f"{key.replace('_', ' '):{width}}  {_text(value)}", highlight=False)
+
+    def write_json(self, path: Path) -> None:
+        """Write everything; NaN becomes null."""
+        content = {
+            "title": self.title,
+            "settings": dict(self.settings),
+            "summary": dict(self.summary),
+            "droplets": [dict(droplet) for droplet in self.droplets],
+        }
+        path.write_text(json.dumps(_without_nan(content), indent=1) + "\n", encoding="utf-8")
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return " ".join(str(part) for part in value)
+    return "" if value is None else str(value)
+
+
+def _without_nan(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _without_nan(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

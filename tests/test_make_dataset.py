@@ -1,0 +1,87 @@
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes import SCENES
+from droptrack import DroptrackError
+from droptrack.dataset import read_data_file, read_image, read_truth
+
+
+def digest(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def make(folder: Path, recipe: Recipe, workers: int = 1) -> None:
+    *_, done = make_dataset(folder, recipe, workers)
+    assert done == recipe.images + recipe.valid
+
+
+def test_same_seed_gives_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
+    recipe = Recipe("all", 40, 5, seed=3)
+    make(tmp_path / "one", recipe)
+    make(tmp_path / "two", recipe, workers=2)
+    assert digest(tmp_path / "one") == digest(tmp_path / "two")
+    make(tmp_path / "other", Recipe("all", 40, 5, seed=4))
+    assert digest(tmp_path / "one") != digest(tmp_path / "other")
+
+
+def test_labels_read_back_are_the_boxes_that_were_drawn(tmp_path: Path) -> None:
+    make(tmp_path / "data", Recipe("tiny", 4, 1, seed=8))
+    data = read_data_file(tmp_path / "data" / "obj.data")
+    assert data.names == ("droplet",)
+    assert (len(data.train), len(data.valid)) == (4, 1)
+    for index, path in enumerate(data.train):
+        scene = SCENES["ab"[index % 2]](np.random.default_rng([8, 0, index]))
+        truth = read_truth(path, 1200, 600)
+        np.testing.assert_allclose(truth.boxes, scene.boxes, atol=0.01)
+        grey = read_image(path)[..., 0].astype(float)
+        assert np.abs(grey - scene.image).mean() < 1
+
+
+def test_an_interrupted_data_set_is_completed_to_the_same_bytes(tmp_path: Path) -> None:
+    recipe = Recipe("c", 70, 3, seed=1)
+    make(tmp_path / "whole", recipe)
+    progress = make_dataset(tmp_path / "cut", recipe, 1)
+    next(progress), next(progress)
+    progress.close()
+    assert len(list((tmp_path / "cut" / "train").glob("*.txt"))) == 32
+    (tmp_path / "cut" / "train" / "000040.jpg").write_bytes(b"half an ima")  # no label yet
+    make(tmp_path / "cut", recipe)
+    assert digest(tmp_path / "cut") == digest(tmp_path / "whole")
+
+
+def test_another_data_set_is_not_overwritten(tmp_path: Path) -> None:
+    make(tmp_path, Recipe("a", 2, 1, seed=1))
+    before = digest(tmp_path)
+    with pytest.raises(DroptrackError, match="data set of other images"):
+        make(tmp_path, Recipe("a", 3, 1, seed=1))
+    assert digest(tmp_path) == before
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(DroptrackError, match="not empty"):
+        make(tmp_path, Recipe("a", 2, 1, seed=1))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("0 0.5 0.5 0.1\n", "class x y width height"),
+        ("droplet 0.5 0.5 0.1 0.1\n", "class x y width height"),
+        ("0 0.5 1.5 0.1 0.1\n", "between 0 and 1"),
+    ],
+)
+def test_a_damaged_label_file_is_named(tmp_path: Path, line: str, problem: str) -> None:
+    make(tmp_path, Recipe("a", 1, 1, seed=1))
+    (tmp_path / "train" / "000000.txt").write_text(line)
+    with pytest.raises(DroptrackError, match=rf"000000\.txt.*{problem}"):
+        read_truth(tmp_path / "train" / "000000.jpg", 1200, 600)

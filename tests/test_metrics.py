@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+
+from droptrack.detections import Detections, labels
+from droptrack.metrics import average_precision
+
+
+def found(boxes: list[list[float]], scores: list[float]) -> Detections:
+    return Detections(
+        np.array(boxes, float).reshape(-1, 4), np.array(scores), np.zeros(len(scores), np.int64)
+    )
+
+
+A, B, C = [10.0, 10, 8, 8], [40.0, 10, 8, 8], [70.0, 10, 8, 8]
+NOWHERE = [200.0, 200, 8, 8]
+
+
+def test_all_found_and_nothing_else_is_one() -> None:
+    assert average_precision([(found([A, B], [0.9, 0.8]), labels([A, B]))]).average_precision == 1
+
+
+def test_a_curve_integrated_by_hand() -> None:
+    """By falling score: hit, false, hit, and one of three is missed.
+
+    Precision 1, 1/2, 2/3 at recall 1/3, 1/3, 2/3: area 1/3 x 1 + 1/3 x 2/3 = 5/9.
+    """
+    pairs = [(found([A, NOWHERE, B], [0.9, 0.8, 0.7]), labels([A, B, C]))]
+    result = average_precision(pairs, score=0.75)
+    assert result.average_precision == pytest.approx(5 / 9)
+    assert (result.precision, result.recall) == (0.5, pytest.approx(1 / 3))
+
+
+def test_a_droplet_found_twice_counts_once() -> None:
+    """Hit at 0.9, double at 0.8 (false), hit at 0.7: 1/2 x 1 + 1/2 x 2/3."""
+    pairs = [(found([A, A, B], [0.9, 0.8, 0.7]), labels([A, B]))]
+    assert average_precision(pairs).average_precision == pytest.approx(5 / 6)
+
+
+def test_scores_are_ranked_over_all_images() -> None:
+    """The false one of image 2 outranks the hit of image 1: precision 1/2 at recall 1/2."""
+    pairs = [(found([A], [0.3]), labels([A])), (found([NOWHERE], [0.9]), labels([B]))]
+    assert average_precision(pairs).average_precision == pytest.approx(0.25)
+
+
+def test_overlap_must_exceed_one_half() -> None:
+    """Shifted by a third of the width, the overlap is exactly 1/2."""
+    shifted = [10 + 8 / 3, 10.0, 8, 8]
+    pairs = [(found([shifted], [0.9]), labels([A]))]
+    assert average_precision(pairs, min_iou=0.5 + 1e-9).average_precision == 0
+    assert average_precision(pairs, min_iou=0.5 - 1e-9).average_precision == 1
+
+
+def test_without_truth_precision_is_undefined() -> None:
+    assert np.isnan(average_precision([(found([A], [0.9]), labels([]))]).average_precision)

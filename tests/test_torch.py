@@ -1,0 +1,319 @@
+"""The PyTorch network, loss and training, against OpenCV, a loop over cells, and each other."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+torch = pytest.importorskip("torch", reason="needs the extra [train]")
+
+from data_gen.make_dataset import Recipe, make_dataset  # noqa: E402
+from droptrack import DroptrackError  # noqa: E402
+from droptrack.darknet_files import (  # noqa: E402
+    WEIGHTS_VERSION,
+    Cfg,
+    Weights,
+    cfg_text,
+    convolutions,
+    parse_cfg,
+    read_cfg,
+    read_weights,
+    with_options,
+    write_weights,
+    yolo_heads,
+)
+from droptrack.dataset import DataSet, read_data_file  # noqa: E402
+from droptrack.detections import iou_matrix  # noqa: E402
+from droptrack.detector import decode_head  # noqa: E402
+from droptrack.torch_data import Augmentation, Batches, augment  # noqa: E402
+from droptrack.torch_loss import yolo_loss  # noqa: E402
+from droptrack.torch_network import DarknetNetwork, dump_values, load_values  # noqa: E402
+from droptrack.torch_train import Settings, learning_rate, train  # noqa: E402
+
+CFG_FOLDER = Path(__file__).parent.parent / "darknet_cfg"
+
+TINY_TINY = """
+[net]
+width=96
+height=64
+channels=3
+momentum=0.9
+decay=0.0005
+learning_rate=0.01
+burn_in=10
+steps=100,150
+scales=.1,.5
+[convolutional]
+batch_normalize=1
+filters=8
+size=3
+stride=2
+pad=1
+activation=leaky
+[maxpool]
+size=2
+stride=2
+[convolutional]
+batch_normalize=1
+filters=16
+size=3
+stride=2
+pad=1
+activation=leaky
+[convolutional]
+filters=18
+size=1
+activation=linear
+[yolo]
+mask=0,1,2
+anchors=6,6, 10,10, 16,16, 40,40
+classes=1
+num=4
+jitter=0
+ignore_thresh=.5
+"""
+
+
+def random_weights(cfg: Cfg, rng: np.random.Generator) -> NDArray[np.float32]:
+    """Values whose layers roughly keep the size of their input, so that a slip shows."""
+    gain = 0.8 if any(layer.kind == "shortcut" for layer in cfg.layers) else 2.0
+    parts = []
+    for shape in convolutions(cfg):
+        n, fan_in = shape.outputs, shape.inputs * shape.size**2
+        parts.append(rng.normal(0, 0.1, n))  # biases
+        if shape.batch_normalize:
+            scales, means = rng.uniform(0.7, 1.3, n), rng.normal(0, 0.1, n)
+            parts += [scales, means, rng.uniform(0.5, 1.5, n)]
+        parts.append(rng.normal(0, np.sqrt(gain / fan_in), n * fan_in))
+    return np.concatenate(parts).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("yolov3-tiny", (416, 416)), ("yolov3-tiny-droplets", (416, 224)), ("yolov3", (160, 96))],
+)
+def test_outputs_are_those_of_opencv(name: str, size: tuple[int, int], tmp_path: Path) -> None:
+    """Every layer kind of the paper's networks, with the same weights and picture in both."""
+    options = {"width": str(size[0]), "height": str(size[1])}
+    cfg = with_options(read_cfg(CFG_FOLDER / f"{name}.cfg"), options, {"thresh": "0.000001"})
+    rng = np.random.default_rng(1)
+    values = random_weights(cfg, rng)
+    path = tmp_path / "random.weights"
+    write_weights(path, Weights(WEIGHTS_VERSION, 0, values))
+    theirs = cv2.dnn.readNetFromDarknet(
+        np.frombuffer(cfg_text(cfg).encode(), np.uint8), np.frombuffer(path.read_bytes(), np.uint8)
+    )
+    picture = rng.random((1, 3, size[1], size[0]), np.float32)
+    theirs.setInput(picture)
+    outputs = theirs.forward(theirs.getUnconnectedOutLayersNames())
+
+    network = DarknetNetwork(cfg)
+    load_values(network, values)
+    network.eval()
+    with torch.no_grad():
+        maps = network(torch.from_numpy(picture))
+    for raw, head, expected in zip(maps, network.heads, outputs, strict=True):
+        rows = decode_head(raw[0].numpy(), head, 1e-6)
+        sure = np.asarray(expected)[np.asarray(expected)[:, 4] > 1e-6]
+        # OpenCV counts cell by cell, then anchor by anchor
+        order = np.lexsort((rows[:, 2], rows[:, 1], rows[:, 0]))
+        other = np.lexsort((sure[:, 2], sure[:, 1], sure[:, 0]))
+        assert len(rows) == len(sure) >= 45
+        np.testing.assert_allclose(rows[order, :5], sure[other, :5], rtol=2e-3, atol=1e-4)
+
+
+def test_weights_loaded_and_dumped_are_the_same_bytes(tmp_path: Path) -> None:
+    cfg = read_cfg(CFG_FOLDER / "yolov3-tiny.cfg")
+    values = random_weights(cfg, np.random.default_rng(2))
+    network = DarknetNetwork(cfg)
+    load_values(network, values)
+    assert dump_values(network).tobytes() == values.tobytes()
+    with pytest.raises(ValueError, match="values, not"):
+        load_values(network, np.append(values, np.float32(1)))
+
+
+def darknet_deltas(
+    cfg: Cfg, raw: NDArray[np.float64], truths: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """What Darknet adds to its layer's delta: one loop a prediction and one a truth, one image.
+
+    raw: logits (A, 5 + C, rows, columns); truths (T, 5): class, box relative to the image.
+    """
+    (head,) = yolo_heads(cfg)
+    n, _, rows, columns = raw.shape
+    width, height = columns * head.stride, rows * head.stride
+    sigmoid = 1 / (1 + np.exp(-raw))
+    delta = np.zeros_like(raw)
+    for a in range(n):
+        for j in range(rows):
+            for i in range(columns):
+                box = [
+                    (i + sigmoid[a, 0, j, i]) / columns,
+                    (j + sigmoid[a, 1, j, i]) / rows,
+                    np.exp(raw[a, 2, j, i]) * head.anchors[a, 0] / width,
+                    np.exp(raw[a, 3, j, i]) * head.anchors[a, 1] / height,
+                ]
+                best = iou_matrix(np.array([box]), truths[:, 1:]).max()
+                delta[a, 4, j, i] = -sigmoid[a, 4, j, i]
+                if best > 0.5 and sigmoid[a, 5, j, i] > 0.25:
+                    delta[a, 4, j, i] = 0
+    for class_id, x, y, w, h in truths:
+        shapes = np.hstack(
+            [np.zeros((len(head.all_anchors), 2)), head.all_anchors / [width, height]]
+        )
+        anchor = int(iou_matrix(np.array([[0, 0, w, h]]), shapes).argmax())
+        if anchor not in head.mask:
+            continue
+        a, i, j = head.mask.index(anchor), int(x * columns), int(y * rows)
+        scale = 0.75 * (2 - w * h)
+        delta[a, 0, j, i] += scale * (x * columns - i - sigmoid[a, 0, j, i])
+        delta[a, 1, j, i] += scale * (y * rows - j - sigmoid[a, 1, j, i])
+        delta[a, 2, j, i] += scale * (np.log(w * width / head.anchors[a, 0]) - raw[a, 2, j, i])
+        delta[a, 3, j, i] += scale * (np.log(h * height / head.anchors[a, 1]) - raw[a, 3, j, i])
+        delta[a, 4, j, i] = 1 - sigmoid[a, 4, j, i]
+        delta[a, 5 + int(class_id), j, i] = 1 - sigmoid[a, 5 + int(class_id), j, i]
+    return delta
+
+
+def test_gradient_of_the_loss_is_what_darknet_writes_down() -> None:
+    cfg = parse_cfg(TINY_TINY, Path("tiny.cfg"))
+    rng = np.random.default_rng(3)
+    raw = rng.normal(0, 1.5, (2, 3, 6, 8, 12))
+    truths = [
+        np.array(
+            [[0, 0.31, 0.42, 0.11, 0.17], [0, 0.32, 0.43, 0.12, 0.17], [0, 0.8, 0.2, 0.5, 0.7]]
+        ),
+        np.array([[0, 0.11, 0.92, 0.06, 0.1]]),
+    ]
+    for image in range(2):  # some predictions right on a truth, so that they are ignored
+        raw[image, 1, 2:4, 4:6, 3:6] = 0.1
+    batch = np.concatenate([np.column_stack([np.full(len(t), i), t]) for i, t in enumerate(truths)])
+    maps = torch.tensor(raw, dtype=torch.float64, requires_grad=True)
+    loss = yolo_loss(cfg, [maps], torch.tensor(batch))
+    loss.total.backward()
+    expected = np.stack([darknet_deltas(cfg, raw[i], truths[i]) for i in range(2)])
+    assert (expected[:, :, 4] == 0).any()
+    np.testing.assert_allclose(-2 * maps.grad.numpy(), expected, atol=2e-5)  # a mean over 2 images
+    assert loss.n_rewritten == 1  # the first two truths share a cell and anchor
+
+
+def test_a_perfect_answer_costs_next_to_nothing() -> None:
+    cfg = parse_cfg(TINY_TINY, Path("tiny.cfg"))
+    raw = torch.zeros(1, 3, 6, 8, 12)
+    raw[:, :, 4] = -12
+    raw[0, 1, :, 4, 6] = torch.tensor([0.0, 0, 0, 0, 12, 12])  # cell centre, anchor 10 x 10
+    truth = torch.tensor([[0, 0, 6.5 / 12, 4.5 / 8, 10 / 96, 10 / 64]])
+    loss = yolo_loss(cfg, [raw], truth)
+    assert float(loss.objectness + loss.classes) < 0.01
+    assert float(loss.regression) == pytest.approx(
+        2 * np.log(2) * 0.75 * (2 - 100 / 6144), rel=1e-5
+    )
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    folder = tmp_path_factory.mktemp("data") / "a"
+    for _ in make_dataset(folder, Recipe("a", 24, 8, seed=2), 1):
+        pass
+    return read_data_file(folder / "obj.data")
+
+
+def settings(**changes: object) -> Settings:
+    options: dict[str, object] = {
+        "iterations": 30,
+        "batch": 4,
+        "optimizer": "adamw",
+        "learning_rate": 0.003,
+        "window": None,
+        "sizes": None,
+        "seed": 5,
+        "workers": 0,
+        "save_every": 10,
+        "map_every": 1000,
+        "map_images": 4,
+    }
+    return Settings(**{**options, **changes})  # type: ignore[arg-type]
+
+
+def test_training_lowers_the_loss_and_leaves_weights_that_load(
+    data: DataSet, tmp_path: Path
+) -> None:
+    cfg = parse_cfg(TINY_TINY, tmp_path / "tt.cfg")
+    steps = list(train(cfg, data, tmp_path, settings(iterations=60), None, resume=False))
+    losses = [step.loss for step in steps]
+    assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
+    assert read_weights(tmp_path / "tt_final.weights", cfg).seen == 60 * 4
+    rows = (tmp_path / "training.csv").read_text().splitlines()
+    assert len(rows) == 61
+    assert rows[1].startswith("1,")
+
+
+def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
+    data: DataSet, tmp_path: Path
+) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "cut").mkdir()
+    cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
+    whole = list(train(cfg, data, tmp_path / "whole", settings(), None, resume=False))
+    training = train(cfg, data, tmp_path / "cut", settings(), None, resume=False)
+    for _ in range(12):
+        next(training)
+    training.close()  # as Ctrl-C does
+    rest = list(train(cfg, data, tmp_path / "cut", settings(), None, resume=True))
+    assert [step.iteration for step in rest] == list(range(13, 31))
+    np.testing.assert_allclose([s.loss for s in rest], [s.loss for s in whole[12:]], rtol=1e-3)
+    values = [read_weights(tmp_path / n / "tt_final.weights", cfg).values for n in ("whole", "cut")]
+    np.testing.assert_allclose(*values, rtol=1e-2, atol=1e-3)
+
+
+def test_a_loss_that_is_no_number_stops_the_training(data: DataSet, tmp_path: Path) -> None:
+    cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
+    wild = settings(optimizer="sgd", learning_rate=1e12)
+    with pytest.raises(DroptrackError, match="no number any more at iteration"):
+        list(train(cfg, data, tmp_path, wild, None, resume=False))
+
+
+def test_darknets_rate_burns_in_with_the_fourth_power_and_falls_in_steps() -> None:
+    cfg, sgd = parse_cfg(TINY_TINY, Path("tt.cfg")), settings(optimizer="sgd", learning_rate=0.01)
+    rates = {n: learning_rate(n, cfg, sgd) for n in (1, 5, 10, 100, 101, 151)}
+    expected = {1: 1e-6, 5: 0.01 / 16, 10: 0.01, 100: 0.01, 101: 0.001, 151: 0.0005}
+    assert rates == pytest.approx(expected)
+
+
+def test_every_picture_is_used_once_before_any_is_used_again() -> None:
+    batches = list(Batches(n=12, batch=4, start=0, stop=6, seed=1, random=(0.5, 2)))
+    indices = [item[0] for batch in batches for item in batch]
+    assert sorted(indices[:12]) == sorted(indices[12:]) == list(range(12))
+    assert indices[:12] != indices[12:]
+    later = list(Batches(n=12, batch=4, start=4, stop=6, seed=1, random=(0.5, 2)))
+    assert later == batches[4:]
+    factors = {batch[0][2] for batch in batches}
+    assert len(factors) == 6
+    assert all(0.5 <= factor <= 2 for factor in factors)
+
+
+@pytest.mark.parametrize("window", [(416, 224), (832, 416)])
+def test_augmented_boxes_stay_on_their_droplets(window: tuple[int, int]) -> None:
+    """Draw squares, change the picture at random, and find them again where the boxes say."""
+    rng = np.random.default_rng(7)
+    image = np.zeros((600, 1200, 3), np.uint8)
+    boxes = np.array([[200, 100, 80, 60], [640, 320, 60, 60], [1000, 480, 100, 40.0]])
+    for x, y, w, h in boxes.astype(int):
+        image[y - h // 2 : y + h // 2, x - w // 2 : x + w // 2] = 255
+    how = Augmentation((832, 416), window, 0.2, (1, 1), 1.5, 1.5, 0.1, flip=True)
+    seen = 0
+    for _ in range(30):
+        picture, truths = augment(
+            rng, image, np.zeros(3, np.int64), boxes / [1200, 600, 1200, 600], how, 1.0
+        )
+        mask = (picture[..., 0] > picture.max() / 2).astype(np.uint8)
+        _, _, stats, _ = cv2.connectedComponentsWithStats(mask)
+        found = stats[1:, :4].astype(float)
+        found[:, :2] += found[:, 2:] / 2
+        wanted = truths[:, 1:] * [window[0], window[1], window[0], window[1]]
+        for box in wanted:
+            assert np.abs(found - box).max(axis=1).min() < 1.5
+        seen += len(wanted)
+    assert seen > 30

@@ -1,0 +1,112 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from droptrack import DroptrackError
+from droptrack.video import Video, VideoInfo, VideoWriter, as_frame
+
+
+def write_video(path: Path, n: int = 12, size: tuple[int, int] = (64, 48)) -> None:
+    """Frame number t is grey level 10 t."""
+    with VideoWriter(path, VideoInfo(*size, 12, n), "MJPG") as video:
+        for t in range(n):
+            video.write(np.full((size[1], size[0], 3), 10 * t, np.uint8))
+
+
+@pytest.mark.parametrize("size", [(64, 48), (65, 47)], ids=["even", "odd"])
+def test_a_written_video_reads_back_in_order(tmp_path: Path, size: tuple[int, int]) -> None:
+    write_video(tmp_path / "v.avi", size=size)
+    video = Video(str(tmp_path / "v.avi"))
+    assert video.info == VideoInfo(*size, 12, 12)
+    levels = [int(frame[5, 5, 0]) for frame in video]
+    assert np.abs(np.array(levels) - np.arange(12) * 10).max() <= 2
+
+
+def test_a_folder_of_images_is_read_by_the_numbers_in_the_names(tmp_path: Path) -> None:
+    for t in (1, 2, 10, 9):
+        cv2.imwrite(str(tmp_path / f"frame_{t}.png"), np.full((20, 30), t, np.uint8))
+    (tmp_path / "notes.txt").write_text("not an image")
+    video = Video(str(tmp_path))
+    assert video.info == VideoInfo(30, 20, 25.0, 4)
+    assert [int(frame[0, 0, 0]) for frame in video] == [1, 2, 9, 10]
+
+
+@pytest.mark.parametrize(
+    ("image", "expected"),
+    [
+        (np.full((4, 5), 100, np.uint8), 100),
+        (np.full((4, 5, 1), 100, np.uint8), 100),
+        (np.dstack([np.full((4, 5, 3), 200, np.uint8), np.full((4, 5), 127, np.uint8)]), 99),
+        (np.full((4, 5), 100 * 256, np.uint16), 100),
+        (np.full((4, 5), 0.5, np.float32), 127),
+    ],
+    ids=["grey", "grey with an axis", "half transparent", "16 bits", "fractions"],
+)
+def test_any_image_becomes_a_frame(image: np.ndarray, expected: int) -> None:
+    frame = as_frame(image)
+    assert frame.shape == (4, 5, 3)
+    assert frame.dtype == np.uint8
+    assert (frame == expected).all()
+
+
+def test_a_cut_off_video_gives_the_frames_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "v.avi"
+    rng = np.random.default_rng(0)
+    with VideoWriter(path, VideoInfo(160, 120, 25, 20), "MJPG") as video:
+        for _ in range(20):
+            video.write(rng.integers(0, 255, (120, 160, 3)).astype(np.uint8))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    assert 5 < len(list(Video(str(path)))) < 20
+
+
+@pytest.mark.parametrize("content", [b"", b"RIFF", b"this is no video" * 99])
+def test_what_is_no_video_is_refused_in_one_line(
+    tmp_path: Path, content: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "v.avi"
+    path.write_bytes(content)
+    with pytest.raises(DroptrackError, match=r"v\.avi"):
+        Video(str(path))
+    assert capfd.readouterr().err == ""
+
+
+def test_missing_sources_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DroptrackError, match="no such video"):
+        Video(str(tmp_path / "none.avi"))
+    with pytest.raises(DroptrackError, match="no frame"):
+        Video(str(tmp_path))  # an empty folder
+    with pytest.raises(DroptrackError, match="camera 99"):
+        Video("99")
+
+
+def test_images_of_another_size_end_the_video_with_their_number(tmp_path: Path) -> None:
+    for t, size in enumerate([(20, 30), (20, 30), (20, 31)]):
+        cv2.imwrite(str(tmp_path / f"{t}.png"), np.zeros(size, np.uint8))
+    frames = iter(Video(str(tmp_path)))
+    next(frames), next(frames)
+    with pytest.raises(DroptrackError, match="frame 2 is 31 x 20 px, those before it 30 x 20"):
+        next(frames)
+
+
+def test_a_damaged_image_in_a_folder_is_named(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((20, 30), np.uint8))
+    (tmp_path / "1.png").write_bytes(b"not a png")
+    with pytest.raises(DroptrackError, match=r"1\.png"):
+        list(Video(str(tmp_path)))
+
+
+def test_an_unwritable_video_is_said_to_be(tmp_path: Path) -> None:
+    with pytest.raises(DroptrackError, match="cannot be written"):
+        VideoWriter(tmp_path / "no" / "folder" / "v.avi", VideoInfo(64, 48, 25, 0), "MJPG")
+
+
+def test_frames_a_second_are_not_truncated(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"not 29\.97"):
+        VideoWriter(tmp_path / "v.avi", VideoInfo(64, 48, 29.97, 0), "MJPG")
+    with VideoWriter(tmp_path / "v.mp4", VideoInfo(64, 48, 29.97, 0), "mp4v") as video:
+        for _ in range(5):
+            video.write(np.zeros((48, 64, 3), np.uint8))
+    assert Video(str(tmp_path / "v.mp4")).info.fps == pytest.approx(29.97, abs=1e-3)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import typer
 from rich.console import Console
+from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from data_gen.make_dataset import Recipe, make_dataset
@@ -107,11 +108,11 @@ def pairs(
 
 
 def _counted(
-    items: Iterator[tuple[Detections, Detections]], count: Callable[[], object]
+    items: Iterator[tuple[Detections, Detections]], progress: Progress, task: TaskID
 ) -> Iterator[tuple[Detections, Detections]]:
     for item in items:
         yield item
-        count()
+        progress.advance(task)
 
 
 @app.command()
@@ -123,7 +124,7 @@ def accuracy(images: int = 1000, seed: int = 2026) -> None:
         with progress_bar("images") as progress:
             task = progress.add_task(scene, total=images, note="")
             found = pairs(detector, scene, images, seed)
-            result = average_precision(_counted(found, lambda: progress.advance(task)))
+            result = average_precision(_counted(found, progress, task))
         table.add_row(
             scene,
             f"{result.average_precision:.4f}",

@@ -3,7 +3,7 @@
 import json
 import multiprocessing
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -33,7 +33,7 @@ class SceneChoice(StrEnum):
     all = "all"  # what the network that ships was trained on
 
 
-MIXTURES = {"tiny": "ab", "full": "c", "all": "abcd"}
+MIXTURES = {"tiny": "ab", "full": "c", "all": "abccdd"}
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     os.replace(partial, path.with_suffix(".txt"))
 
 
-def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Iterator[int]:
+def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, None, None]:
     """Write what is missing of a data set; yields the number of images that are there, as it grows.
 
     Raises DroptrackError if the folder holds something else.

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from data_gen.droplets import (
     BLACK,
@@ -23,6 +24,7 @@ from data_gen.droplets import (
     Canvas,
     Floats,
     contour_box,
+    contour_points,
     draw_contour,
     draw_ellipses,
     ellipse_boxes,
@@ -174,28 +176,40 @@ def _without_overlap(points: Floats, radii: Floats, gap: float) -> Floats:
 
 
 def _foam(rng: np.random.Generator) -> tuple[Canvas, Floats]:
+    """Clusters of polygonal droplets, stretched by up to 2.2 as a narrow channel does."""
     canvas = np.zeros((HEIGHT, WIDTH), np.uint8)
     boxes = []
     for centre, reach in _cluster_places(rng):
-        radius = _log_uniform(rng, 12, min(50, reach / 1.5))
+        radius = _log_uniform(rng, 16, max(18, min(55, reach / 1.5)))
         film = rng.uniform(0.04, 0.22) * radius + 1.0
-        stretch = np.array([1.0, rng.uniform(0.25, 1)])[:: rng.choice([-1, 1])]
-        points = _packing(rng, centre, reach - radius, radius, stretch)
-        points += rng.normal(0, 0.12 * radius, points.shape)
-        squeeze = np.array([_log_uniform(rng, 0.7, 1.0), 1.0])[:: rng.choice([-1, 1])]
-        points = centre + (points - centre) * squeeze
+        oblong = np.array([1.0, rng.uniform(0.25, 1)])[:: rng.choice([-1, 1])]
+        points = _packing(rng, centre, reach - radius, radius, oblong)
+        points += rng.normal(0, rng.uniform(0, 0.25) * radius, points.shape)
+        squeeze = np.array([1.0, _log_uniform(rng, 0.45, 1.0)])[
+            :: rng.choice([-1, 1], p=[0.3, 0.7])
+        ]
         for place, radii in zip(points, _cells(rng, points, radius, film), strict=True):
-            if radii.min() < 4:
+            at, shape = centre + (place - centre) * squeeze, _stretched(radii, squeeze)
+            if shape.min() < 4:
                 continue
-            draw_contour(canvas, place, radii, WHITE)
-            boxes.append(contour_box(place, radii))
+            draw_contour(canvas, at, shape, WHITE)
+            boxes.append(contour_box(at, shape))
     return canvas, np.array(boxes).reshape(-1, 4)
+
+
+def _stretched(radii: Floats, factors: Floats) -> Floats:
+    """A contour's radii (K,) after stretching x and y by factors (2,)."""
+    points = contour_points(np.zeros(2), radii) * factors
+    angles = np.arctan2(points[:, 1], points[:, 0])
+    wanted = np.arange(len(radii)) * (2 * np.pi / len(radii))
+    return np.asarray(np.interp(wanted, angles, np.hypot(*points.T), period=2 * np.pi))
 
 
 def _cells(rng: np.random.Generator, points: Floats, radius: float, film: float) -> Floats:
     """Radii (N, 128) of the Voronoi cells of the points, less half a film, with round corners.
 
-    Where no neighbour is near, a cell ends in an arc of 0.9 to 1.15 radii.
+    Where no neighbour is near, a cell ends in an arc of 0.9 to 1.15 radii. Every second cluster has
+    droplets with dents of up to 0.3 radii.
     """
     k = 128
     angles = np.arange(k) * (2 * np.pi / k)
@@ -211,14 +225,13 @@ def _cells(rng: np.random.Generator, points: Floats, radius: float, film: float)
         cosine = np.cos(angles[None] - towards[:, None])
         wall = ((distance[near] - film) / 2)[:, None] / np.maximum(cosine, 1e-3)
         radii[i] = np.minimum(radii[i], wall.min(axis=0))
-    width = rng.uniform(2, 5)  # of the smoothing along the contour, in its points
-    kernel = np.exp(-0.5 * (np.arange(-12, 13) / width) ** 2)
-    smooth = cv2.filter2D(
-        np.concatenate([radii[:, -12:], radii, radii[:, :12]], axis=1),
-        -1,
-        (kernel / kernel.sum())[None],
-    )
-    return np.asarray(smooth[:, 12:-12])
+    radii = gaussian_filter1d(radii, rng.uniform(2, 5), axis=1, mode="wrap")
+    if rng.random() < 0.5:
+        n = (len(radii), 1)
+        lobes, phase = rng.integers(1, 5, n), rng.uniform(0, 2 * np.pi, n)
+        dents = rng.uniform(0, 0.3, n) * (1 + np.cos(lobes * angles + phase)) / 2
+        radii = radii * (1 - dents)
+    return np.asarray(radii)
 
 
 def _poor_picture(rng: np.random.Generator, canvas: Canvas) -> Canvas:

@@ -51,7 +51,7 @@ def _sample(
         rows = slice(start, start + 32767 // k)
         at_x, at_y = map_x[rows].reshape(-1, k), map_y[rows].reshape(-1, k)
         parts.append(cv2.remap(frame, at_x, at_y, cv2.INTER_LINEAR).reshape(-1, k, k, 3))
-    return np.concatenate(parts).mean(axis=3, dtype=np.float64)
+    return np.asarray(np.concatenate(parts).mean(axis=3), np.float64)
 
 
 def cosine_distances(galleries: list[Floats], descriptors: Floats) -> Floats:

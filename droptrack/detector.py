@@ -1,4 +1,7 @@
-"""Raw outputs of YOLO heads -> detections."""
+"""What a detector does, and how raw outputs of YOLO heads become detections."""
+
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +11,15 @@ from droptrack.darknet_files import YoloHead
 from droptrack.detections import Detections, suppress_doubles
 
 Float32s = NDArray[np.float32]
+
+
+class Detector(Protocol):
+    """Finds droplets in frames; each engine is one."""
+
+    name: str
+
+    def detect(self, frames: Sequence[NDArray[np.uint8]]) -> list[Detections]:
+        """The detections of each of some frames (H, W, 3) of one size."""
 
 
 def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:

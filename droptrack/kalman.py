@@ -77,4 +77,4 @@ def gating_distance(mean: Floats, covariance: Floats, measurements: Floats) -> F
 
 def _deviations(height: Floats, weight: float, of_aspect: float) -> Floats:
     """Standard deviations (N, 4) of cx, cy, a, h: `weight` heights, and `of_aspect` for a."""
-    return weight * height[:, None] * OF_HEIGHT + of_aspect * OF_ASPECT
+    return np.asarray(weight * height[:, None] * OF_HEIGHT + of_aspect * OF_ASPECT)

@@ -5,7 +5,7 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,7 +60,7 @@ class Step:
 
 def train(
     cfg: Cfg, data: DataSet, out: Path, settings: Settings, start: Path | None, resume: bool
-) -> Iterator[Step]:
+) -> Generator[Step, None, None]:
     """Train and yield after each iteration; checkpoints and ``.weights`` go into the folder `out`.
 
     `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. Files, by
@@ -69,6 +69,7 @@ def train(
     and ``training.csv``. Raises DroptrackError when the loss is no number any more.
     """
     torch.manual_seed(settings.seed)
+    torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     network = DarknetNetwork(cfg).to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -143,6 +144,9 @@ def train(
                 log.writerow([f"{value:.6g}" for value in vars(step).values()])
                 yield step
             save(iteration, "final")
+        except DroptrackError as error:  # a worker's comes wrapped in its traceback
+            last = str(error).strip().splitlines()[-1]
+            raise DroptrackError(last.removeprefix("droptrack.DroptrackError: ")) from None
         finally:
             save(iteration, "last")
             _save_checkpoint(checkpoint, network, optimizer, iteration, best)

@@ -110,6 +110,7 @@ class TrajectoryWriter:
             *(_texts(column) for column in extra),
         ]
         self._rows.writerows(zip(*columns, strict=True))
+        self._file.flush()
 
     def close(self) -> None:
         """Finish the file."""

@@ -1,5 +1,7 @@
 """Tracks on drawings whose answer one can count by eye."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,14 +12,18 @@ from droptrack.deepsort import Parameters, Tracker
 
 Floats = NDArray[np.float64]
 
+Point = tuple[float, float]
+Frames = list[Sequence[Point]]
+
+PARAMETERS = Parameters()
 ALIKE = np.array([1.0, 0.0])
 
 
 def run(
-    frames: list[list[tuple[float, float]]], size: float = 20.0, **parameters: float
+    frames: Sequence[Sequence[Point]], size: float = 20.0, parameters: Parameters = PARAMETERS
 ) -> list[list[int]]:
     """Identities of droplets of one size that all look alike, frame by frame."""
-    tracker = Tracker(Parameters(**parameters))  # type: ignore[arg-type]
+    tracker = Tracker(parameters)
     ids = []
     for positions in frames:
         boxes = np.array([[x, y, size, size] for x, y in positions]).reshape(-1, 4)
@@ -29,16 +35,18 @@ def run(
 def test_droplets_that_pass_each_other_keep_their_identities() -> None:
     """Two lanes 25 px apart, droplets of 20 px, opposite directions, 4 px a frame."""
     frames = [[(100 + 4 * t, 50), (260 - 4 * t, 75)] for t in range(40)]
-    assert run(frames) == [[1, 2]] * 40  # type: ignore[arg-type]
+    assert run(frames) == [[1, 2]] * 40
 
 
 def test_order_of_detections_does_not_matter() -> None:
-    frames = [[(100 + 4 * t, 50), (100 + 4 * t, 100)][:: 1 if t % 2 else -1] for t in range(20)]
-    assert run(frames) == [[1, 2] if t % 2 == 0 else [2, 1] for t in range(20)]  # type: ignore[arg-type]
+    frames: Frames = [
+        [(100 + 4 * t, 50), (100 + 4 * t, 100)][:: 1 if t % 2 else -1] for t in range(20)
+    ]
+    assert run(frames) == [[1, 2] if t % 2 == 0 else [2, 1] for t in range(20)]
 
 
 def test_a_droplet_missed_for_some_frames_is_the_same_afterwards() -> None:
-    frames: list[list[tuple[float, float]]] = [[(100 + 3 * t, 50)] for t in range(30)]
+    frames: Frames = [[(100 + 3 * t, 50)] for t in range(30)]
     for t in range(12, 18):
         frames[t] = []
     assert run(frames) == [[1]] * 12 + [[]] * 6 + [[1]] * 12
@@ -46,14 +54,14 @@ def test_a_droplet_missed_for_some_frames_is_the_same_afterwards() -> None:
 
 def test_a_droplet_last_seen_more_than_max_age_frames_ago_is_a_new_one() -> None:
     """The cascade's last level takes tracks seen max_age frames ago: a gap of one frame less."""
-    there: list[tuple[float, float]] = [(100.0, 50.0)]
+    there: Sequence[Point] = [(100.0, 50.0)]
     for gap, expected in ((4, 1), (5, 2)):
         frames = [there] * 5 + [[]] * gap + [there] * 5
-        assert run(frames, max_age=5)[-1] == [expected]
+        assert run(frames, parameters=Parameters(max_age=5))[-1] == [expected]
 
 
 def test_a_new_track_ends_at_its_first_miss() -> None:
-    there: list[tuple[float, float]] = [(100.0, 50.0)]
+    there: Sequence[Point] = [(100.0, 50.0)]
     assert run([there, there, [], there]) == [[1], [1], [], [2]]
 
 
@@ -83,7 +91,7 @@ def test_appearance_decides_within_the_gate() -> None:
 
 
 def test_a_jump_beyond_the_gate_and_overlap_starts_a_new_track() -> None:
-    frames: list[list[tuple[float, float]]] = [[(100, 50)]] * 5 + [[(140, 50)]]
+    frames: Frames = [[(100, 50)]] * 5 + [[(140, 50)]]
     assert run(frames)[-1] == [2]
 
 
@@ -93,7 +101,7 @@ def test_three_hundred_droplets_keep_their_identities() -> None:
     start = np.column_stack([x.ravel(), y.ravel()])
     velocity = np.array([2.0, 1.0]) + rng.normal(0, 0.02, start.shape)
     frames = [[tuple(p) for p in start + velocity * t] for t in range(20)]
-    assert run(frames, size=26.0) == [list(range(1, 301))] * 20  # type: ignore[arg-type]
+    assert run(frames, size=26.0) == [list(range(1, 301))] * 20
 
 
 def test_assignment_takes_the_least_total_not_the_least_pair() -> None:

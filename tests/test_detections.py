@@ -16,7 +16,7 @@ def test_overlap_of_boxes_drawn_on_squared_paper() -> None:
     wide, tall = [2.0, 1.0, 4.0, 2.0], [3.0, 2.0, 2.0, 4.0]
     far = [50.0, 50.0, 4.0, 2.0]
     iou = iou_matrix(np.array([wide, far]), np.array([tall, wide]))
-    np.testing.assert_allclose(iou, [[4 / 12, 1], [0, 0]])
+    np.testing.assert_allclose(iou, np.array([[4 / 12, 1], [0, 0]]))
 
 
 def test_corners_and_centres_are_converted_there_and_back() -> None:

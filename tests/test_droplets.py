@@ -23,7 +23,7 @@ def counted_ellipse(ellipse: Floats, width: int, height: int, n: int = 32) -> Fl
     u = (x - cx) * np.cos(angle) + (y - cy) * np.sin(angle)
     v = (y - cy) * np.cos(angle) - (x - cx) * np.sin(angle)
     inside = (u / a) ** 2 + (v / b) ** 2 <= 1
-    return inside.reshape(height, n, width, n).mean(axis=(1, 3))
+    return np.asarray(inside.reshape(height, n, width, n).mean(axis=(1, 3)))
 
 
 ELLIPSES = [

@@ -27,7 +27,8 @@ def test_a_curve_integrated_by_hand() -> None:
     pairs = [(found([A, NOWHERE, B], [0.9, 0.8, 0.7]), labels([A, B, C]))]
     result = average_precision(pairs, score=0.75)
     assert result.average_precision == pytest.approx(5 / 9)
-    assert (result.precision, result.recall) == (0.5, pytest.approx(1 / 3))
+    assert result.precision == 0.5
+    assert result.recall == pytest.approx(1 / 3)
 
 
 def test_a_droplet_found_twice_counts_once() -> None:

@@ -192,7 +192,7 @@ def test_gradient_of_the_loss_is_what_darknet_writes_down() -> None:
     batch = np.concatenate([np.column_stack([np.full(len(t), i), t]) for i, t in enumerate(truths)])
     maps = torch.tensor(raw, dtype=torch.float64, requires_grad=True)
     loss = yolo_loss(cfg, [maps], torch.tensor(batch))
-    loss.total.backward()
+    loss.total.backward()  # type: ignore[no-untyped-call]
     expected = np.stack([darknet_deltas(cfg, raw[i], truths[i]) for i in range(2)])
     assert (expected[:, :, 4] == 0).any()
     np.testing.assert_allclose(-2 * maps.grad.numpy(), expected, atol=2e-5)  # a mean over 2 images
@@ -264,8 +264,8 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
     rest = list(train(cfg, data, tmp_path / "cut", settings(), None, resume=True))
     assert [step.iteration for step in rest] == list(range(13, 31))
     np.testing.assert_allclose([s.loss for s in rest], [s.loss for s in whole[12:]], rtol=1e-3)
-    values = [read_weights(tmp_path / n / "tt_final.weights", cfg).values for n in ("whole", "cut")]
-    np.testing.assert_allclose(*values, rtol=1e-2, atol=1e-3)
+    end, other = (read_weights(tmp_path / n / "tt_final.weights", cfg) for n in ("whole", "cut"))
+    np.testing.assert_allclose(end.values, other.values, rtol=1e-2, atol=1e-3)
 
 
 def test_a_loss_that_is_no_number_stops_the_training(data: DataSet, tmp_path: Path) -> None:

@@ -20,7 +20,8 @@ def some(n: int = 50) -> Trajectories:
     return sorted_trajectories(
         frame,
         track_id + 1,
-        *rng.uniform(0, 600, (2, n)).round(6),
+        rng.uniform(0, 600, n).round(6),
+        rng.uniform(0, 600, n).round(6),
         rng.uniform(1, 60, (n, 4)).round(6),
         rng.random(n).round(6),
         rng.random(n) < 0.5,

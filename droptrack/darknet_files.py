@@ -30,14 +30,17 @@ class Layer:
 
     def integer(self, key: str, default: int | None = None) -> int:
         """The option as an int; raises DroptrackError if it is absent without default or no int."""
-        return int(self._number(key, default))
+        return int(self.number(key, default))
 
     def number(self, key: str, default: float | None = None) -> float:
         """The option as a float; raises DroptrackError as `integer` does."""
-        return self._number(key, default)
+        values = self.numbers(key, None if default is None else (default,))
+        if len(values) != 1:
+            raise self._bad(key, "a number")
+        return values[0]
 
     def numbers(self, key: str, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
-        """A comma-separated list of numbers."""
+        """The option as comma-separated numbers; raises DroptrackError as `integer` does."""
         text = self.options.get(key)
         if text is None:
             if default is None:
@@ -46,22 +49,11 @@ class Layer:
         try:
             return tuple(float(part) for part in text.split(",") if part.strip())
         except ValueError:
-            raise self._bad(key, "a list of numbers") from None
+            raise self._bad(key, "a number, or several with commas") from None
 
     def text(self, key: str, default: str) -> str:
         """The option as written, or the default."""
         return self.options.get(key, default)
-
-    def _number(self, key: str, default: float | None) -> float:
-        text = self.options.get(key)
-        if text is None:
-            if default is None:
-                raise DroptrackError(f"line {self.line}: [{self.kind}] needs {key}=")
-            return default
-        try:
-            return float(text)
-        except ValueError:
-            raise self._bad(key, "a number") from None
 
     def _bad(self, key: str, wanted: str) -> DroptrackError:
         return DroptrackError(

@@ -19,7 +19,7 @@ from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
 from droptrack.pipeline import Results, follow, summarise
 from droptrack.report import Value
 from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter, read_trajectories
-from droptrack.video import Video, VideoWriter
+from droptrack.video import Video, VideoInfo, VideoWriter
 
 
 class Backend(StrEnum):
@@ -68,8 +68,7 @@ def main(
     source = Video(video)
     info = source.info
     out = out or Path("tracks") / (Path(video).stem or "camera")
-    files = {name: out / name for name in ("trajectories.csv", "tracked.mp4", "paths.png")}
-    if any(Path(video).resolve() == file.resolve() for file in files.values()):
+    if Path(video).resolve() == (out / "tracked.mp4").resolve():
         raise DroptrackError(f"{video}: would be overwritten by the results; choose another --out")
     out.mkdir(parents=True, exist_ok=True)
     about: dict[str, Value] = {
@@ -88,8 +87,8 @@ def main(
     }
     problem: DroptrackError | None = None
     began = time.perf_counter()
-    with TrajectoryWriter(files["trajectories.csv"], about, BOX_CENTRE) as rows:
-        writer = None if no_video else VideoWriter(files["tracked.mp4"], info, "mp4v")
+    with TrajectoryWriter(out / "trajectories.csv", about, BOX_CENTRE) as rows:
+        writer = None if no_video else VideoWriter(out / "tracked.mp4", info, "mp4v")
         results = Results(rows, writer)
         frames = islice(source, max_frames) if max_frames else source
         total = min(info.n_frames or max_frames, max_frames or info.n_frames)
@@ -104,9 +103,12 @@ def main(
                 problem = DroptrackError(f"interrupted after {results.n_frames} frames")
             except DroptrackError as error:
                 problem = error
-        if writer is not None:
-            writer.close()
-    finish(files, settings, results, time.perf_counter() - began)
+        try:
+            if writer is not None:
+                writer.close()
+        except DroptrackError as error:
+            problem = problem or error
+    finish(out, info, settings, results, time.perf_counter() - began)
     if problem is not None:
         raise DroptrackError(f"{problem}; what was tracked until there is in {out}")
     if 0 < results.n_frames < total:
@@ -117,17 +119,16 @@ def main(
 
 
 def finish(
-    files: dict[str, Path], settings: dict[str, Value], results: Results, seconds: float
+    out: Path, info: VideoInfo, settings: dict[str, Value], results: Results, seconds: float
 ) -> None:
     """Write the plot and the report, and print the table."""
     from droptrack.plots import plot_paths
 
-    rows, _ = read_trajectories(files["trajectories.csv"])
+    rows, _ = read_trajectories(out / "trajectories.csv")
     report = summarise(rows, settings, results, seconds)
-    report.write_json(files["paths.png"].with_name("report.json"))
+    report.write_json(out / "report.json")
     report.print()
-    size = str(settings["video"]).rsplit(", ", 2)[1].split(" ")
-    plot_paths(files["paths.png"], rows, int(size[0]), int(size[2]))
+    plot_paths(out / "paths.png", rows, info.width, info.height)
 
 
 if __name__ == "__main__":

@@ -94,18 +94,30 @@ class VideoWriter:
         self._size = (info.width, info.height)
         code = cv2.VideoWriter.fourcc(*fourcc)
         self._writer = cv2.VideoWriter(str(path), backend, code, info.fps, self._size, parameters)
+        self._n_written = 0
         if not self._writer.isOpened():
-            raise DroptrackError(f"{path}: cannot be written; is the folder writable?")
+            raise DroptrackError(
+                f"{path}: cannot be written; is the folder writable, or the disk full?"
+            )
 
     def write(self, frame: Frame) -> None:
         """Append a frame of the size given at the start."""
         if (frame.shape[1], frame.shape[0]) != self._size:
             raise ValueError(f"a frame of {frame.shape} in a video of {self._size}")
         self._writer.write(frame)
+        self._n_written += 1
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the file; raises DroptrackError if it does not hold every frame written.
+
+        OpenCV does not say when a frame could not be written.
+        """
         self._writer.release()
+        n_held = _count_frames(self.path) if self._n_written else 0
+        if n_held < self._n_written:
+            raise DroptrackError(
+                f"{self.path}: holds {n_held} of {self._n_written} frames; is the disk full?"
+            )
 
     def __enter__(self) -> "VideoWriter":
         return self
@@ -144,6 +156,14 @@ def _open_capture(source: str, *, is_camera: bool) -> cv2.VideoCapture:
             raise DroptrackError(f"camera {source}: cannot be opened; is it plugged in and free?")
         raise DroptrackError(f"{source}: is no video that OpenCV or FFmpeg can read")
     return capture
+
+
+def _count_frames(path: Path) -> int:
+    """The number of frames that a video file claims, 0 if it is none."""
+    capture = cv2.VideoCapture(str(path))
+    n_frames = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
+    capture.release()
+    return n_frames
 
 
 def _read_capture(capture: cv2.VideoCapture) -> Iterator[Frame]:

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -101,6 +103,33 @@ def test_a_damaged_image_in_a_folder_is_named(tmp_path: Path) -> None:
 def test_an_unwritable_video_is_said_to_be(tmp_path: Path) -> None:
     with pytest.raises(DroptrackError, match="cannot be written"):
         VideoWriter(tmp_path / "no" / "folder" / "v.avi", VideoInfo(64, 48, 25, 0), "MJPG")
+
+
+WRITE_TO_A_FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from droptrack import DroptrackError
+from droptrack.video import VideoInfo, VideoWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))  # as a full disk does, writes fail
+try:
+    with VideoWriter(Path(sys.argv[1]), VideoInfo(160, 120, 25, 0), sys.argv[2]) as video:
+        for _ in range(40):
+            video.write(np.random.default_rng(0).integers(0, 255, (120, 160, 3)).astype(np.uint8))
+except DroptrackError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("name", "fourcc"), [("v.mp4", "mp4v"), ("v.avi", "MJPG")])
+def test_a_video_that_the_disk_has_no_room_for_is_said_to_be_cut(
+    tmp_path: Path, name: str, fourcc: str
+) -> None:
+    pytest.importorskip("resource", reason="needs a system with limits on file sizes")
+    arguments = [sys.executable, "-c", WRITE_TO_A_FULL_DISK, str(tmp_path / name), fourcc]
+    printed = subprocess.run(arguments, capture_output=True, text=True, check=False).stdout
+    assert name in printed
+    assert "of 40 frames; is the disk full?" in printed
 
 
 def test_frames_a_second_are_not_truncated(tmp_path: Path) -> None:

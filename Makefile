@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 SEED ?= 0
 
-.PHONY: setup dev demo dataset train-tiny train bench check test
+.PHONY: setup dev demo dataset train-tiny train train-droplets bench check test
 
 setup: $(VENV)/.installed
 
@@ -42,6 +42,13 @@ train-tiny: dev dataset
 train: dev dataset
 	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3.cfg \
 		--data datasets/full/obj.data --out runs/yolov3
+
+# the network that ships: docs/training.md
+train-droplets: dev
+	$(BIN)/python -m data_gen.make_dataset --scene all --images 24000 --seed 11 --out datasets/all
+	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3-tiny-droplets.cfg \
+		--data datasets/all/obj.data --out runs/droplets --optimizer adamw \
+		--learning-rate 0.001 --window 416x224 --sizes 0.65,1.2 --batch 16 --iterations 9000
 
 bench: dev
 	$(BIN)/python -m bench

@@ -91,7 +91,8 @@ def test_appearance_decides_within_the_gate() -> None:
 
 
 def test_a_jump_beyond_the_gate_and_overlap_starts_a_new_track() -> None:
-    frames: Frames = [[(100, 50)]] * 5 + [[(140, 50)]]
+    here, there = [(100.0, 50.0)], [(140.0, 50.0)]
+    frames = [here] * 5 + [there]
     assert run(frames)[-1] == [2]
 
 

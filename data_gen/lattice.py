@@ -76,7 +76,7 @@ def relax(f: Floats, f_eq: Floats, tau_plus: float, tau_minus: float) -> Floats:
     rest = f - f_eq
     even = (rest + rest[OPPOSITE]) / 2
     odd = (rest - rest[OPPOSITE]) / 2
-    return f - even / tau_plus - odd / tau_minus
+    return np.asarray(f - even / tau_plus - odd / tau_minus)
 
 
 def guo_force(u: Floats, force: Floats, tau_plus: float, tau_minus: float) -> Floats:
@@ -132,12 +132,12 @@ def shifted(padded: NDArray[Any], dx: int, dy: int) -> NDArray[Any]:
     return padded[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
 
 
-def pad(field: Floats, *, periodic_x: bool) -> Floats:
-    """A field (..., H, W) with a rim of one node: mirrored, or periodic in x."""
+def pad(field: Floats, *, periodic_x: bool, rim: int = 1) -> Floats:
+    """A field (..., H, W) with a rim of nodes: mirrored, or periodic in x."""
     rims = [(0, 0)] * (field.ndim - 2)
-    mirrored = np.pad(field, [*rims, (1, 1), (0, 0)], mode="symmetric")
+    mirrored = np.pad(field, [*rims, (rim, rim), (0, 0)], mode="symmetric")
     mode: Any = "wrap" if periodic_x else "symmetric"
-    return np.asarray(np.pad(mirrored, [*rims, (0, 0), (1, 1)], mode=mode))
+    return np.asarray(np.pad(mirrored, [*rims, (0, 0), (rim, rim)], mode=mode))
 
 
 def gradient(padded: Floats) -> Floats:

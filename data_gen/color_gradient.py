@@ -247,10 +247,10 @@ def recentre(params: Params, state: State) -> State:
     return State(state.f, state.emulsion, labels, origins, state.step)
 
 
-def masks(state: State) -> list[tuple[Bools, Floats]]:
-    """For every droplet: where c_k > 1/2, (h, w), and the [y, x] of that array's corner."""
+def patches(state: State) -> list[tuple[Floats, Floats]]:
+    """For every droplet: c_k, (h, w), and the [y, x] of that array's corner."""
     pairs = zip(state.labels, state.origins, strict=True)
-    return [(label > 0.5, origin.astype(float)) for label, origin in pairs]
+    return [(label, origin.astype(float)) for label, origin in pairs]
 
 
 def shade(state: State) -> Floats:

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_gen import lattice
-from data_gen.lattice import Bools, Floats
+from data_gen.lattice import Floats
 from droptrack import DroptrackError
 
 RECENTRE_STEPS = 50  # between moves of the windows
@@ -356,20 +356,26 @@ def recentre(params: Params, state: State) -> State:
     return State(state.f, state.outer, cores, origins, state.step)
 
 
-def masks(params: Params, state: State) -> list[tuple[Bools, Floats]]:
-    """For every core: where psi_i > psi_0 / 2, (h, w), and the [y, x] of that array's corner.
+def patches(params: Params, state: State) -> list[tuple[Floats, Floats]]:
+    """For every core: psi_i / psi_0, (h, w), and the [y, x] of that array's corner.
 
-    A core on the whole grid is rolled so that x does not wrap within it.
+    x as in the picture; a core on the whole grid is rolled so that x does not wrap within it.
     """
     found = []
     for core, origin in zip(state.cores, state.origins.astype(float), strict=True):
-        mask = core > params.psi_0 / 2
-        roll = 0
-        if not params.window and mask.any():
-            angle = 2 * np.pi * np.nonzero(mask)[1] / params.width
-            middle = np.angle(np.exp(1j * angle).mean()) * params.width / (2 * np.pi)
+        fraction = core / params.psi_0
+        inside = np.nonzero(fraction > 0.5)[1] + origin[1]
+        if not len(inside):
+            found.append((fraction, origin))
+            continue
+        around = np.exp(2j * np.pi * (inside + 0.5) / params.width).mean()
+        middle = np.angle(around) * params.width / (2 * np.pi) % params.width
+        if params.window:  # by whole turns to where it is seen
+            turns = np.floor(inside.mean() / params.width)
+            found.append((fraction, origin - np.array([0, turns * params.width])))
+        else:
             roll = round(middle) - params.width // 2
-        found.append((np.roll(mask, -roll, axis=1), origin + np.array([0, roll])))
+            found.append((np.roll(fraction, -roll, axis=1), origin + np.array([0, roll])))
     return found
 
 

@@ -155,7 +155,7 @@ def power_cells(n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     weights = np.zeros(n)
     wanted = len(points) / n
     for turn in range(400):
-        power = ((points[:, None] - sites) ** 2).sum(axis=2) - weights
+        power = (sites**2).sum(axis=1) - weights - 2 * points @ sites.T  # less |point|^2
         owner = power.argmin(axis=1)
         area = np.bincount(owner, minlength=n)
         weights += 0.3 * (1 - area / wanted) / n
@@ -172,28 +172,33 @@ def droplet_fractions(params: Params, rng: np.random.Generator) -> tuple[Floats,
 
     The droplets are the cells, each shrunk by the half film that leaves them the share phi.
     """
-    y, x = np.mgrid[: params.height, : params.width] + 0.5
+    shape = (params.height, params.width)
+    labels, emulsion = np.zeros((params.droplets, *shape)), np.zeros(shape)
+    if not params.droplets:
+        return labels, emulsion
+    y, x = np.mgrid[: params.height, : params.inlet_length] + 0.5
     x, y = x - params.inlet_length / 2, y - params.height / 2
     radius = params.emulsion_diameter / 2
     to_rim = radius - np.hypot(x, y)
     s = params.steepness
-    emulsion = (1 + np.tanh(s * to_rim)) / 2
-    if not params.droplets:
-        return np.zeros((0, params.height, params.width)), np.zeros_like(emulsion)
+    emulsion[:, : params.inlet_length] = (1 + np.tanh(s * to_rim)) / 2
+    near = to_rim > -30  # beyond, a profile is 0 to rounding
+    x, y, to_rim = x[near], y[near], to_rim[near]  # (P,)
     sites, weights = power_cells(params.droplets, rng)
     sites, weights = sites * radius, weights * radius**2
-    power = (x - sites[:, 0, None, None]) ** 2 + (y - sites[:, 1, None, None]) ** 2
-    power -= weights[:, None, None]
-    depth = np.empty_like(power)  # distance to the nearest edge of the cell
+    power = (x - sites[:, :1]) ** 2 + (y - sites[:, 1:]) ** 2 - weights[:, None]  # (N, P)
+    depth = np.repeat(to_rim[None], params.droplets, axis=0)  # to the nearest edge of the cell
     for k in range(params.droplets):
-        others = [j for j in range(params.droplets) if j != k]
-        apart = np.hypot(*(sites[others] - sites[k]).T)[:, None, None]
-        edges = (power[others] - power[k]) / (2 * apart)
-        depth[k] = np.minimum(edges.min(axis=0), to_rim) if others else to_rim
+        for j in range(params.droplets):
+            if j != k:
+                apart = np.hypot(*(sites[j] - sites[k]))
+                np.minimum(depth[k], (power[j] - power[k]) / (2 * apart), out=depth[k])
     least, most = -3.0, radius
     wanted = params.droplets * math.pi * params.radius**2
     for _ in range(40):
         shrink = (least + most) / 2
         total = ((1 + np.tanh(s * (depth - shrink))) / 2).sum()
         least, most = (shrink, most) if total > wanted else (least, shrink)
-    return (1 + np.tanh(s * (depth - shrink))) / 2, emulsion
+    inlet = labels[:, :, : params.inlet_length]
+    inlet[:, near] = (1 + np.tanh(s * (depth - shrink))) / 2
+    return labels, emulsion

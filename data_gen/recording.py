@@ -4,13 +4,16 @@ While a run goes on, its folder holds `frames/` (PNG) and `checkpoint.npz`; at t
 truth.csv, checks.csv and three pictures are made from them, and the frames are removed.
 """
 
+import contextlib
 import csv
 import json
 import os
 import shutil
+import signal
+import threading
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -119,6 +122,7 @@ class Recorder:
         self.checks: list[list[float]] = []
         self.check_names: list[str] = []
         self._frames = out / "frames"
+        self._stop = False
         self._about = {
             "version": __version__,
             "simulation": simulation.name,
@@ -139,7 +143,8 @@ class Recorder:
             text = json.dumps(self._about, indent=2)
             (self.out / "parameters.json").write_text(text + "\n", encoding="utf-8")
         start, first_step = time.perf_counter(), self.simulation.step
-        self._loop()
+        with stopped_by_signals(self._ask_to_stop):
+            self._loop()
         elapsed = time.perf_counter() - start
         self._finish()
         done = self.simulation.step - first_step
@@ -149,6 +154,9 @@ class Recorder:
             f"{self.out / 'video.avi'}: {len(self.truth)} frames, {self.simulation.step} steps; "
             f"{speed:.4g} steps/s, {speed * width * height / 1e6:.3g} million lattice updates/s"
         )
+
+    def _ask_to_stop(self, *_: object) -> None:
+        self._stop = True
 
     def _loop(self) -> None:
         simulation, recording = self.simulation, self.recording
@@ -174,6 +182,9 @@ class Recorder:
     def _advance(self, until: int) -> None:
         """Run to a step; stop at once where the simulation goes unstable."""
         while self.simulation.step < until:
+            if self._stop:
+                self._save()
+                raise KeyboardInterrupt
             self.simulation.run(min(CHECK_STEPS, until - self.simulation.step))
             trouble = self.simulation.unstable()
             if trouble:
@@ -189,12 +200,15 @@ class Recorder:
         write_png(self._frames / f"{index:06d}.png", image)
         values = self.simulation.checks()
         self.check_names = list(values)
-        self.checks.append([index, self.simulation.step, *values.values()])
-        self.truth.append(truth_rows(self.simulation, index, self.recording.camera.scale))
+        rows = truth_rows(self.simulation, index, self.recording.camera.scale)
+        self.checks = [*self.checks[:index], [index, self.simulation.step, *values.values()]]
+        self.truth.append(rows)
         return values
 
     def _save(self) -> None:
         """Write the checkpoint: complete or not at all."""
+        if not self.truth:
+            return  # nothing yet that would be lost
         part = self.out / "checkpoint.part.npz"
         counts = [len(rows) for rows in self.truth]
         np.savez(
@@ -282,6 +296,20 @@ class Recorder:
                 for row in self.checks
             )
         shutil.rmtree(self._frames)
+
+
+@contextlib.contextmanager
+def stopped_by_signals(handler: Callable[..., None]) -> Iterator[None]:
+    """Call a handler on Ctrl-C and on a request to end; compiled code must not be interrupted."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {s: signal.signal(s, handler) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
 
 
 def write_png(path: Path, image: Any) -> None:

@@ -1,4 +1,6 @@
 import json
+import os
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -115,6 +117,25 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
     states = [np.load(tmp_path / name / "checkpoint.npz") for name in ("parts", "whole")]
     for name in states[0].files:
         assert (states[0][name] == states[1][name]).all()
+
+
+def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
+    simulation = tiny_constriction()
+    run = simulation.run
+
+    def run_and_interrupt(steps: int) -> None:
+        run(steps)
+        if simulation.step >= 170:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    simulation.run = run_and_interrupt  # type: ignore[method-assign]
+    recording = Recording(0, 400, 20, 25.0, Camera(), checkpoint_frames=100)
+    with pytest.raises(KeyboardInterrupt):
+        Recorder(simulation, tmp_path, recording).run(resume=False)
+    with np.load(tmp_path / "checkpoint.npz") as kept:
+        assert len(kept["counts"]) == 10  # the frame at 180 too
+    text = Recorder(tiny_constriction(), tmp_path, recording).run(resume=True)
+    assert "21 frames" in text
 
 
 def test_an_unstable_run_stops_says_where_and_keeps_the_checkpoint(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ RECENTRE_STEPS = 16  # between moves of the windows
 B = np.array([-4 / 27] + 4 * [2 / 27] + 4 * [5 / 108])
 LENGTH = np.array([1.0] + 4 * [1.0] + 4 * [np.sqrt(2)])  # |c_i|, c_0 aside
 NO_GRADIENT = 1e-13  # below, a gradient has no direction
+NOTHING = 1e-11  # fractions below are set to 0, so that droplets end
 CONTACT_GRADIENT = 0.005  # above, a node belongs to an interface
 
 
@@ -201,6 +202,7 @@ def step(params: Params, state: State) -> State:
     rho, rho_new = lattice.density(state.f), lattice.density(f) + solid
     leaving = outgoing(e, post, rho, a_e + (1 - e) * q)
     emulsion = lattice.density(lattice.stream_among_solids(leaving, solid)) / rho_new
+    emulsion[np.abs(emulsion) < NOTHING] = 0
     labels = np.empty_like(state.labels)
     for k, label in enumerate(state.labels):
         at = nodes(state, k)
@@ -208,6 +210,7 @@ def step(params: Params, state: State) -> State:
         leaving = outgoing(label, post[(slice(None), *at)], rho[at], flux)
         arrived = stream_in_window(leaving, solid, state.origins[k])
         labels[k] = lattice.density(arrived) / rho_new[at]
+        labels[k][np.abs(labels[k]) < NOTHING] = 0
     return State(f, emulsion, labels, state.origins, state.step + 1)
 
 
@@ -287,6 +290,7 @@ def state_of(params: Params, whole: Floats, emulsion: Floats) -> State:
         origins[k] = np.clip(corner, 0, [params.height - h, params.width - w])
         y_0, x_0 = origins[k]
         labels[k] = c[y_0 : y_0 + h, x_0 : x_0 + w]
+    labels[labels < NOTHING] = 0
     rho = np.where(solid, 0.0, params.rho_0)
     f = lattice.equilibrium(rho, np.zeros((2, params.height, params.width)))
-    return State(f, emulsion, labels, origins, 0)
+    return State(f, np.where(emulsion < NOTHING, 0, emulsion), labels, origins, 0)

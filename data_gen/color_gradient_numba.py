@@ -1,7 +1,8 @@
 """The colour-gradient model compiled for the CPU: the terms of color_gradient.py, fused by rows.
 
 As in free_energy_numba.py each row is one thread's work, in pieces of PIECE nodes held in the
-slots of one small flat buffer, which LLVM vectorises. Droplets cost what their windows cost.
+slots of one small flat buffer, which LLVM vectorises. Of a droplet's window only the part is
+worked on where its fraction is not 0: `spans` holds the first and last + 1 such column of each row.
 Fields have a rim of one node of zeros, as have solid nodes: nothing arrives from there, and a list
 of links adds what half-way bounce-back returns.
 """
@@ -15,13 +16,14 @@ from numpy.typing import NDArray
 from data_gen import color_gradient as cg
 from data_gen import lattice
 from data_gen.constriction_geometry import Params, solid_nodes, wall_push
-from data_gen.lattice import CX, CY, OPPOSITE, Bools, W
+from data_gen.lattice import CX, CY, OPPOSITE, Bools, Floats, W
 
-PIECE = 64  # nodes worked on at once
+PIECE = 128  # nodes worked on at once
 S = PIECE + 8  # stride of a slot of the buffer
 SLOTS = 24
 TINY = cg.NO_GRADIENT
 CONTACT = cg.CONTACT_GRADIENT**2
+NOTHING = cg.NOTHING
 DIAGONAL = 1 / (36 * np.sqrt(2))  # w_i / |c_i|
 C_X, C_Y = CX.astype(np.int64), CY.astype(np.int64)
 SHARE = W / cg.LENGTH
@@ -60,6 +62,19 @@ def wall_links(solid: Bools) -> Links:
     order = np.lexsort((i, x, y))
     start = np.searchsorted(y[order], np.arange(len(solid) + 1))
     return Links(start, x[order], OPPOSITE[i[order]].astype(np.int64), i[order])
+
+
+def spans_of(labels: Floats) -> NDArray[np.int64]:
+    """First and last + 1 column of what is not 0, (N, h + 2, 2), of labels (N, h + 2, w + 2).
+
+    Columns without the rim; w, 0 where a row is empty.
+    """
+    there = labels[:, :, 1:-1] != 0
+    w = there.shape[2]
+    some = there.any(axis=2)
+    first = np.where(some, there.argmax(axis=2), w)
+    last = np.where(some, w - there[:, :, ::-1].argmax(axis=2), 0)
+    return np.ascontiguousarray(np.stack([first, last], axis=-1).astype(np.int64))
 
 
 class Engine:
@@ -110,11 +125,11 @@ class Engine:
         rim = ((0, 0), (1, 1), (1, 1))
         f = s.f.copy()
         e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, rim)
-        q = np.zeros((2, *labels.shape))
+        q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), spans_of(e[None])[0]
         e, labels = advance(
             steps, f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(), q,
-            s.origins, self._fluid, self._push, self._links, np.array(inlet), self._constants,
-            8 * get_num_threads(),
+            spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
+            self._links, np.array(inlet), self._constants, 8 * get_num_threads(),
         )  # fmt: skip
         inner = (slice(1, -1), slice(1, -1))
         fields = e[inner].copy(), labels[(slice(None), *inner)].copy()
@@ -134,8 +149,29 @@ def _add(source: Any, target: Any, n: int) -> None:
 
 
 @njit(**FAST)
+def _copy_times(source: Any, factor: Any, target: Any, n: int) -> None:
+    for x in range(n):
+        target[x] = source[x] * factor[x]
+
+
+@njit(**FAST)
+def _add_push(e: Any, push: Any, force: Any, strength: float, n: int) -> None:
+    """Add a component of the walls' force on the emulsion."""
+    for x in range(n):
+        force[x] += strength * e[x] * push[x]
+
+
+@njit(**FAST)
 def _load(row: Any, start: int, n: int, b: Any, slot: int) -> None:
     _copy(row[start:], b[slot * S :], n)
+
+
+@njit(**FAST)
+def _span(spans: Any, r: int, w: int) -> tuple[int, int]:
+    """Columns of row r that what is there in rows r - 1 to r + 1 can reach in a step."""
+    first = min(spans[r, 0], spans[r + 1, 0], spans[r + 2, 0])
+    last = max(spans[r, 1], spans[r + 1, 1], spans[r + 2, 1])
+    return max(first - 1, 0), min(last + 1, w)
 
 
 @njit(**FAST)
@@ -252,7 +288,7 @@ def _collide(b: Any, n: int, c: Constants) -> None:
 @njit(**FAST)
 def _collide_rows(
     first: int, last: int, f: Any, post: Any, e: Any, q_e: Any, total: Any, labels: Any, q: Any,
-    origins: Any, fluid: Any, push: Any, c: Constants,
+    spans: Any, e_spans: Any, origins: Any, fluid: Any, push: Any, c: Constants,
 ) -> None:  # fmt: skip
     """Forces, fluxes and collision of the rows first to last - 1."""
     h, w = labels.shape[1] - 2, labels.shape[2] - 2
@@ -268,8 +304,11 @@ def _collide_rows(
             r = y - y_0
             if not 0 <= r < h:
                 continue
-            for j in range(0, w, PIECE):
-                n = min(PIECE, w - j)
+            q[0, k, r + 1, :] = 0.0
+            q[1, k, r + 1, :] = 0.0
+            low, high = _span(spans[k], r, w)
+            for j in range(low, high, PIECE):
+                n = min(PIECE, high - j)
                 for i in range(3):
                     _load(labels[k, r + i], j, n + 2, b, i)
                 _interface(b, n, c.beta)
@@ -278,8 +317,12 @@ def _collide_rows(
                 _copy(b[5 * S :], q[0, k, r + 1, j + 1 :], n)
                 _copy(b[6 * S :], q[1, k, r + 1, j + 1 :], n)
                 _near_contact(b, n, r, j, y_0, x_0, labels[k], e, total, sums[7], sums[8], c)
-        for j in range(0, width, PIECE):
-            n = min(PIECE, width - j)
+        film[:] = 0.0
+        q_e[0, y + 1, :] = 0.0
+        q_e[1, y + 1, :] = 0.0
+        low, high = _span(e_spans, y, width)
+        for j in range(low, high, PIECE):
+            n = min(PIECE, high - j)
             for i in range(3):
                 _load(e[y + i], j, n + 2, b, i)
             _interface(b, n, c.beta)
@@ -291,14 +334,12 @@ def _collide_rows(
             _film(b, n, c.beta)
             for i in range(3):
                 _add(b[(7 + i) * S :], sums[4 + i, j:], n)
-            for x in range(n):
-                strength = c.wall_force * b[S + x + 1]
-                sums[7, j + x] += strength * push[0, y, j + x]
-                sums[8, j + x] += strength * push[1, y, j + x]
-            _copy(b[14 * S :], film[0, j:], n)
-            _copy(b[15 * S :], film[1, j:], n)
-            _copy(b[16 * S :], q_e[0, y + 1, j + 1 :], n)
-            _copy(b[17 * S :], q_e[1, y + 1, j + 1 :], n)
+            for i in range(2):
+                _add_push(b[S + 1 :], push[i, y, j:], sums[7 + i, j:], c.wall_force, n)
+                _copy(b[(14 + i) * S :], film[i, j:], n)
+                _copy(b[(16 + i) * S :], q_e[i, y + 1, j + 1 :], n)
+        for j in range(0, width, PIECE):
+            n = min(PIECE, width - j)
             for i in range(9):
                 _load(f[i, y], j, n, b, i)
             _load(sums[7], j, n, b, 9)
@@ -310,16 +351,17 @@ def _collide_rows(
             for i in range(9):
                 _copy(b[i * S :], post[i, y + 1, j + 1 :], n)
             _copy(b[15 * S :], film[2, j:], n)
-        for x in range(width):
-            q_e[0, y + 1, x + 1] *= film[2, x]
-            q_e[1, y + 1, x + 1] *= film[2, x]
+        for i in range(2):
+            _scale(q_e[i, y + 1, 1 + low :], film[2, low:], high - low)
         for k in range(len(origins)):
             y_0, x_0 = origins[k]
             r = y - y_0
             if 0 <= r < h:
+                low, high = _span(spans[k], r, w)
                 for i in range(2):
                     _label_flux(
-                        q[i, k, r + 1, 1:], labels[k, r + 1, 1:], film[i, x_0:], film[2, x_0:], w
+                        q[i, k, r + 1, 1 + low :], labels[k, r + 1, 1 + low :],
+                        film[i, x_0 + low :], film[2, x_0 + low :], high - low,
                     )  # fmt: skip
 
 
@@ -352,12 +394,14 @@ def _gather(b: Any, n: int) -> None:
 @njit(**FAST)
 def _transport_row(
     c: Any, new: Any, qx: Any, qy: Any, r: int, y: int, x_0: int, post: Any, inverse: Any,
-    links: Links, b: Any,
+    links: Links, low: int, high: int, b: Any,
 ) -> None:  # fmt: skip
-    """One component's row a step later; c, new, qx, qy and post have a rim; inverse is 1 / rho."""
-    w = c.shape[1] - 2
-    for j in range(0, w, PIECE):
-        n = min(PIECE, w - j)
+    """One component's row a step later, columns low to high - 1.
+
+    c, new, qx, qy and post have a rim; inverse is 1 / rho.
+    """
+    for j in range(low, high, PIECE):
+        n = min(PIECE, high - j)
         for i in range(3):
             _load(c[r + i], j, n + 2, b, i)
             _load(qx[r + i], j, n + 2, b, 3 + i)
@@ -369,11 +413,24 @@ def _transport_row(
     row = new[r + 1, 1:]
     for k in range(links.start[y], links.start[y + 1]):
         x = links.x[k] - x_0
-        if 0 <= x < w:
+        if low <= x < high:
             i = links.leaving[k]
             flux = C_X[i] * qx[r + 1, x + 1] + C_Y[i] * qy[r + 1, x + 1]
             row[x] += c[r + 1, x + 1] * post[i, y + 1, x_0 + x + 1] + SHARE[i] * flux
-    _scale(row, inverse[x_0:], w)
+    _scale(row[low:], inverse[x_0 + low :], high - low)
+
+
+@njit(**FAST)
+def _trim(row: Any, low: int, high: int, span: Any) -> None:
+    """Set to 0 what is as good as nothing, and note what is left."""
+    for x in range(low, high):
+        row[x] = 0.0 if abs(row[x]) < NOTHING else row[x]
+    while low < high and row[low] == 0:
+        low += 1
+    while low < high and row[high - 1] == 0:
+        high -= 1
+    span[0] = low if low < high else len(row) - 1
+    span[1] = high if low < high else 0
 
 
 @njit(**FAST)
@@ -414,8 +471,8 @@ def _density(f: Any, y: int, fluid: Any, inverse: Any) -> None:
 @njit(**FAST)
 def _transport_rows(
     first: int, last: int, f: Any, post: Any, e: Any, e_new: Any, q_e: Any, total: Any,
-    labels: Any, labels_new: Any, q: Any, origins: Any, fluid: Any, links: Links, inlet: float,
-    c: Constants,
+    labels: Any, labels_new: Any, q: Any, spans: Any, spans_new: Any, e_spans: Any,
+    e_spans_new: Any, origins: Any, fluid: Any, links: Links, inlet: float, c: Constants,
 ) -> None:  # fmt: skip
     """Streaming of the fluid and of all fractions into the rows first to last - 1."""
     h, w = labels.shape[1] - 2, labels.shape[2] - 2
@@ -424,32 +481,38 @@ def _transport_rows(
     inverse = np.empty(width)
     for y in range(first, last):
         for i in range(9):
-            _copy(post[i, y + 1 - C_Y[i], 1 - C_X[i] :], f[i, y], width)
+            _copy_times(post[i, y + 1 - C_Y[i], 1 - C_X[i] :], fluid[y], f[i, y], width)
         for k in range(links.start[y], links.start[y + 1]):
             x = links.x[k]
             f[links.arriving[k], y, x] += post[links.leaving[k], y + 1, x + 1]
-        for i in range(9):
-            _scale(f[i, y], fluid[y], width)
         if fluid[y, 0] > 0:
             _open_ends(f, y, inlet, c.rho_0)
         _density(f, y, fluid[y], inverse)
-        _transport_row(e, e_new, q_e[0], q_e[1], y, y, 0, post, inverse, links, b)
+        low, high = _span(e_spans, y, width)
+        e_new[y + 1, :] = 0.0
+        _transport_row(e, e_new, q_e[0], q_e[1], y, y, 0, post, inverse, links, low, high, b)
+        _trim(e_new[y + 1, 1:], low, high, e_spans_new[y + 1])
         total[y] = 0.0
         for k in range(len(origins)):
             y_0, x_0 = origins[k]
             r = y - y_0
             if 0 <= r < h:
+                low, high = _span(spans[k], r, w)
+                row = labels_new[k, r + 1]
+                row[:] = 0.0
                 _transport_row(
-                    labels[k], labels_new[k], q[0, k], q[1, k], r, y, x_0, post, inverse, links, b
+                    labels[k], labels_new[k], q[0, k], q[1, k], r, y, x_0, post, inverse, links,
+                    low, high, b,
                 )  # fmt: skip
-                _add(labels_new[k, r + 1, 1:], total[y, x_0:], w)
+                _trim(row[1:], low, high, spans_new[k, r + 1])
+                _add(row[1 + low :], total[y, x_0 + low :], high - low)
 
 
 @njit(parallel=True, **FAST)
 def advance(
     steps: int, f: Any, post: Any, e: Any, e_new: Any, q_e: Any, total: Any, labels: Any,
-    labels_new: Any, q: Any, origins: Any, fluid: Any, push: Any, links: Links, inlet: Any,
-    c: Constants, blocks: int,
+    labels_new: Any, q: Any, spans: Any, spans_new: Any, e_spans: Any, e_spans_new: Any,
+    origins: Any, fluid: Any, push: Any, links: Links, inlet: Any, c: Constants, blocks: int,
 ) -> Any:  # fmt: skip
     """Advance f in place; returns E (H + 2, W + 2) and the droplets (N, h + 2, w + 2)."""
     height = f.shape[1]
@@ -458,13 +521,16 @@ def advance(
         for block in prange(blocks):
             _collide_rows(
                 block * size, min(height, (block + 1) * size), f, post, e, q_e, total, labels, q,
-                origins, fluid, push, c,
+                spans, e_spans, origins, fluid, push, c,
             )  # fmt: skip
         for block in prange(blocks):
             _transport_rows(
                 block * size, min(height, (block + 1) * size), f, post, e, e_new, q_e, total,
-                labels, labels_new, q, origins, fluid, links, inlet[step], c,
+                labels, labels_new, q, spans, spans_new, e_spans, e_spans_new, origins, fluid,
+                links, inlet[step], c,
             )  # fmt: skip
         e, e_new = e_new, e
         labels, labels_new = labels_new, labels
+        spans, spans_new = spans_new, spans
+        e_spans, e_spans_new = e_spans_new, e_spans
     return e, labels

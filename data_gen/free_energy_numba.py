@@ -14,7 +14,7 @@ from data_gen import free_energy as fe
 from data_gen import lattice
 from data_gen.lattice import Floats
 
-PIECE = 64  # nodes worked on at once
+PIECE = 128  # nodes worked on at once
 S = PIECE + 8  # stride of a slot of the buffer: a piece and its two neighbours
 SLOTS = 13
 RIM = 2  # of psi; that of mu is 1

@@ -125,7 +125,7 @@ class Engine:
         rim = ((0, 0), (1, 1), (1, 1))
         f = s.f.copy()
         e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, rim)
-        q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), spans_of(e[None])[0]
+        q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), self._e_spans()
         e, labels = advance(
             steps, f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(), q,
             spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
@@ -134,6 +134,11 @@ class Engine:
         inner = (slice(1, -1), slice(1, -1))
         fields = e[inner].copy(), labels[(slice(None), *inner)].copy()
         self._state = cg.State(f, *fields, s.origins, s.step + steps)
+
+    def _e_spans(self) -> NDArray[np.int64]:
+        """Spans of where the emulsion or any droplet is, (H + 2, 2)."""
+        there = (self._state.emulsion != 0) | (cg.label_sum(self._state) != 0)
+        return np.asarray(spans_of(np.pad(there, 1)[None].astype(float))[0])
 
 
 @njit(**FAST)
@@ -506,6 +511,10 @@ def _transport_rows(
                 )  # fmt: skip
                 _trim(row[1:], low, high, spans_new[k, r + 1])
                 _add(row[1 + low :], total[y, x_0 + low :], high - low)
+                if spans_new[k, r + 1, 0] < spans_new[k, r + 1, 1]:
+                    span = e_spans_new[y + 1]
+                    span[0] = min(span[0], x_0 + spans_new[k, r + 1, 0])
+                    span[1] = max(span[1], x_0 + spans_new[k, r + 1, 1])
 
 
 @njit(parallel=True, **FAST)

@@ -188,7 +188,8 @@ class Recorder:
             self.simulation.run(min(CHECK_STEPS, until - self.simulation.step))
             trouble = self.simulation.unstable()
             if trouble:
-                last = "; the last checkpoint is kept" if self.out.exists() else ""
+                kept = (self.out / "checkpoint.npz").exists()
+                last = "; the last checkpoint is kept" if kept else ""
                 raise DroptrackError(
                     f"{self.simulation.name}: unstable at step {self.simulation.step}: "
                     f"{trouble}{last}"

@@ -21,7 +21,7 @@ dev: $(VENV)/.dev
 
 $(VENV)/.dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,simulate,dev]'
 	touch $@
 
 demo: setup
@@ -48,10 +48,11 @@ train-droplets: dev
 	$(BIN)/python -m data_gen.make_dataset --scene all --images 24000 --seed 11 --out datasets/all
 	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3-tiny-droplets.cfg \
 		--data datasets/all/obj.data --out runs/droplets --optimizer adamw \
-		--learning-rate 0.001 --window 416x224 --sizes 0.65,1.2 --batch 16 --iterations 9000
+		--learning-rate 0.001 --window 416x224 --sizes 0.56,1.04 --batch 16 --iterations 9000
 
 bench: dev
 	$(BIN)/python -m bench
+	$(BIN)/python -m bench.simulations
 
 check: dev
 	$(BIN)/ruff format --check

@@ -19,7 +19,7 @@ from data_gen.settings import changed, compiled
 from droptrack import DroptrackError
 
 if TYPE_CHECKING:
-    from data_gen.color_gradient_numba import Engine
+    from data_gen.color_gradient_engine import Engine
 
 SMALL = Params()
 PAPER = Params(
@@ -41,7 +41,7 @@ class Constriction:
         self.parameters: Mapping[str, object] = asdict(params)
         self._fluid = ~solid_nodes(params)
         self._start = cg.masses(state)
-        self._engine: Engine = compiled("color_gradient_numba").Engine(params, state)
+        self._engine: Engine = compiled("color_gradient_engine").Engine(params, state)
 
     @property
     def step(self) -> int:
@@ -110,7 +110,7 @@ class Constriction:
         """Go on from a checkpoint's state."""
         values = dict(arrays) | {"step": int(arrays["step"])}
         self._start = values.pop("start")
-        self._engine = compiled("color_gradient_numba").Engine(self.params, cg.State(**values))
+        self._engine = compiled("color_gradient_engine").Engine(self.params, cg.State(**values))
 
 
 def constriction(
@@ -126,7 +126,7 @@ def constriction(
     blur: Annotated[float, typer.Option(help="Sigma of the camera's blur, px.")] = 0.0,
     noise: Annotated[float, typer.Option(help="Sigma of its noise, grey levels.")] = 0.0,
     uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
-    fps: Annotated[float, typer.Option(min=0.1)] = 25.0,
+    fps: Annotated[int, typer.Option(min=1)] = 25,
     threads: Annotated[int, typer.Option(min=0, help="0: all.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     change: Annotated[
@@ -143,7 +143,7 @@ def constriction(
     last = params.rest_steps + (steps or STEPS[size])
     camera = Camera(scale, blur, noise, uneven, seed)
     recording = Recording(params.rest_steps, last, every or EVERY[size], fps, camera)
-    compiled("color_gradient_numba", threads)
+    compiled("color_gradient_engine", threads)
     simulation = Constriction(params, cg.initial_state(params))
     summary = Recorder(simulation, out, recording).run(resume=resume)
     through = int(simulation.checks()["through"])

@@ -80,7 +80,7 @@ class Recording:
     first: int
     last: int
     every: int
-    fps: float
+    fps: int
     camera: Camera
     checkpoint_frames: int = 20
 
@@ -277,7 +277,7 @@ class Recorder:
         about = {
             "made by": f"droptrack {__version__}, data_gen.simulate {self.simulation.name}",
             "parameters": "in parameters.json",
-            "video": f"video.avi, {width} x {height} px, {self.recording.fps:g} frames/s",
+            "video": f"video.avi, {width} x {height} px, {self.recording.fps} frames/s",
             "steps": f"{self.recording.first} + {self.recording.every} a frame",
             "units": "px and px^2; centre of mass, box and area of where the droplet's fraction "
             "exceeds 1/2",

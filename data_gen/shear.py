@@ -18,7 +18,7 @@ from data_gen.settings import changed, compiled
 from droptrack import DroptrackError
 
 if TYPE_CHECKING:
-    from data_gen.free_energy_numba import Engine
+    from data_gen.free_energy_engine import Engine
 
 CORE_DISTANCE = {1: 0.0, 2: 18.0, 3: 21.0, 4: 24.0}  # of the centres from the middle
 STEPS = {"small": 80_000, "paper": 150_000}  # about half a turn and a whole one
@@ -33,7 +33,7 @@ class Shear:
         self.params = params
         self.parameters: Mapping[str, object] = asdict(params)
         self._start = fe.masses(fe.initial_state(params))
-        self._engine: Engine = compiled("free_energy_numba").Engine(params, state)
+        self._engine: Engine = compiled("free_energy_engine").Engine(params, state)
 
     @property
     def step(self) -> int:
@@ -100,7 +100,7 @@ class Shear:
     def load(self, arrays: Any) -> None:
         """Go on from a checkpoint's state."""
         state = fe.State(**(dict(arrays) | {"step": int(arrays["step"])}))
-        self._engine = compiled("free_energy_numba").Engine(self.params, state)
+        self._engine = compiled("free_energy_engine").Engine(self.params, state)
 
 
 def shear(
@@ -115,7 +115,7 @@ def shear(
     blur: Annotated[float, typer.Option(help="Sigma of the camera's blur, px.")] = 0.0,
     noise: Annotated[float, typer.Option(help="Sigma of its noise, grey levels.")] = 0.0,
     uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
-    fps: Annotated[float, typer.Option(min=0.1)] = 25.0,
+    fps: Annotated[int, typer.Option(min=1)] = 25,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
     threads: Annotated[int, typer.Option(min=0, help="0: all.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
@@ -131,6 +131,6 @@ def shear(
     camera = Camera(scale, blur, noise, uneven, seed)
     last = params.rest_steps + (steps or STEPS[size])
     recording = Recording(params.rest_steps, last, every, fps, camera)
-    compiled("free_energy_numba", threads)
+    compiled("free_energy_engine", threads)
     simulation = Shear(params, fe.initial_state(params))
     typer.echo(Recorder(simulation, out, recording).run(resume=resume))

@@ -51,7 +51,7 @@ def main(
     score: Annotated[float, typer.Option(min=0, max=1, help="Least score of a droplet.")] = 0.4,
     max_iou: Annotated[
         float, typer.Option(min=0, max=1, help="Overlap from which two boxes are one droplet.")
-    ] = 0.45,
+    ] = 0.3,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[int, typer.Option(min=0, help="Stop after these; 0: never.")] = 0,
     max_cosine_distance: Annotated[float, typer.Option(min=0)] = Parameters.max_cosine_distance,

@@ -17,7 +17,7 @@ from data_gen.lattice import Floats
 from droptrack import DroptrackError
 
 numba = pytest.importorskip("numba")
-from data_gen.color_gradient_numba import Engine  # noqa: E402
+from data_gen.color_gradient_engine import Engine  # noqa: E402
 
 
 def small(**changes: Any) -> Params:

@@ -10,7 +10,7 @@ from data_gen.lattice import Bools, Floats
 from droptrack import DroptrackError
 
 numba = pytest.importorskip("numba")
-from data_gen.free_energy_numba import Engine  # noqa: E402
+from data_gen.free_energy_engine import Engine  # noqa: E402
 
 SMALL: dict[str, Any] = {"core_radius": 7.0, "shell_radius": 22.0, "rest_steps": 0, "window": 40}
 

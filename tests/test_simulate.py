@@ -95,7 +95,7 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
         params = fe.Params(70, 60, 2, 7, 22, 9, window=40, rest_steps=10)
         return Shear(params, fe.initial_state(params))
 
-    recording = Recording(20, 110, 15, 25.0, Camera(noise=4.0, seed=3), checkpoint_frames=2)
+    recording = Recording(20, 110, 15, 25, Camera(noise=4.0, seed=3), checkpoint_frames=2)
     Recorder(simulation(), tmp_path / "whole", recording).run(resume=False)
 
     class StoppedError(Exception):
@@ -129,7 +129,7 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     simulation.run = run_and_interrupt  # type: ignore[method-assign]
-    recording = Recording(0, 400, 20, 25.0, Camera(), checkpoint_frames=100)
+    recording = Recording(0, 400, 20, 25, Camera(), checkpoint_frames=100)
     with pytest.raises(KeyboardInterrupt):
         Recorder(simulation, tmp_path, recording).run(resume=False)
     with np.load(tmp_path / "checkpoint.npz") as kept:
@@ -140,7 +140,7 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
 
 def test_an_unstable_run_stops_says_where_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     simulation = tiny_constriction()
-    recording = Recording(0, 400, 10, 25.0, Camera(), checkpoint_frames=1)
+    recording = Recording(0, 400, 10, 25, Camera(), checkpoint_frames=1)
     run = simulation.run
 
     def blow_up(steps: int) -> None:

@@ -1,4 +1,4 @@
-"""Speed of the simulations over grid size, droplets and threads, ``-m data_gen.bench_simulations``.
+"""Speed of the simulations over grid size, droplets and threads, ``python -m bench.simulations``.
 
 Each line: milliseconds a step and million lattice updates (nodes times steps) a second, and how
 that compares with the first line of its table, measured in the same run.
@@ -47,13 +47,13 @@ def table(title: str, cases: dict[str, Callable[[], tuple[Any, int]]]) -> None:
 
 def shear(params: fe.Params) -> tuple[Any, int]:
     """A free-energy engine."""
-    engine = compiled("free_energy_numba").Engine(params, fe.initial_state(params))
+    engine = compiled("free_energy_engine").Engine(params, fe.initial_state(params))
     return engine, params.width * params.height
 
 
 def constriction(params: Any) -> tuple[Any, int]:
     """A colour-gradient engine."""
-    engine = compiled("color_gradient_numba").Engine(params, cg.initial_state(params))
+    engine = compiled("color_gradient_engine").Engine(params, cg.initial_state(params))
     return engine, params.width * params.height
 
 
@@ -61,7 +61,7 @@ def constriction(params: Any) -> tuple[Any, int]:
 @one_line_errors
 def bench(threads: int = 0) -> None:
     """Print tables for both simulations."""
-    compiled("free_energy_numba", threads)
+    compiled("free_energy_engine", threads)
     base = fe.Params(rest_steps=0)
     table(
         "free energy, 340 x 170",

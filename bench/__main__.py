@@ -1,5 +1,6 @@
 """Measure speed and accuracy: ``python -m bench``, or one of its commands."""
 
+import os
 import statistics
 import tempfile
 import time
@@ -58,7 +59,9 @@ def dataset(images: int = 10_000) -> None:
     for scene in ("tiny", "full"):
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
-            for _ in make_dataset(Path(folder) / "data", Recipe(scene, images, 0, 1), 0):
+            for _ in make_dataset(
+                Path(folder) / "data", Recipe(scene, images, 0, 1), os.cpu_count() or 1
+            ):
                 pass
             seconds = time.perf_counter() - start
         console.print(f"data set {scene}: {images} images in {seconds:.1f} s")

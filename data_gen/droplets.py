@@ -7,7 +7,7 @@ ellipses   (N, 5) float64 [cx, cy, a, b, angle]: semi-axes a and b in px, angle 
 contours   a centre (2,) and radii (K,): the droplet reaches radii[k] px at the angle 2 pi k / K
 
 A pixel's grey level is the part of it that the shape covers, were the edge straight within the
-pixel: a disc's centre of mass is right to 1e-3 px, which a test counts after.
+pixel: a disc's centre of mass is right to 2e-3 px, for a radius of 8 px or more.
 """
 
 import math

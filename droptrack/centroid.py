@@ -1,7 +1,7 @@
 """Box -> sub-pixel centre of mass of the droplet in it, from the grey levels.
 
 The centre of a bounding box is known to a fraction of the network's cells; the intensity-weighted
-centre of an anti-aliased droplet to a thousandth of a pixel.
+centre of an anti-aliased droplet to two thousandths of a pixel.
 """
 
 import cv2

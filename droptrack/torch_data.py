@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
+from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg
 from droptrack.dataset import DataSet, read_image, read_labels
 
@@ -69,6 +70,11 @@ class TrainingPictures(Dataset[Sample]):
         rng = np.random.default_rng(seed)
         path = self.data.train[index]
         class_ids, boxes = read_labels(path)
+        if (class_ids >= self.n_classes).any():
+            raise DroptrackError(
+                f"{path.with_suffix('.txt')}: has class {class_ids.max()}, but the data set "
+                f"{self.n_classes} classes, counted from 0"
+            )
         image, truths = augment(rng, read_image(path), class_ids, boxes, self.augmentation, factor)
         return torch.from_numpy(image).permute(2, 0, 1), torch.from_numpy(truths)
 

@@ -24,6 +24,7 @@ def test_pictures_are_1200_x_600_and_hold_every_droplet_whole(kind: str) -> None
 @pytest.mark.parametrize("kind", "abc")
 def test_white_regions_are_where_the_labels_say(kind: str) -> None:
     """Connected regions, found by OpenCV, against the labels."""
+    compared = total = 0
     for scene in scenes(kind):
         n, _, stats, centres = cv2.connectedComponentsWithStats(
             (scene.image > 128).astype(np.uint8)
@@ -32,6 +33,7 @@ def test_white_regions_are_where_the_labels_say(kind: str) -> None:
         if kind == "b":  # the white around the shell is no droplet
             regions = range(2, n)
             assert n - 2 == len(scene.boxes) == 2
+        total += len(scene.boxes)
         for region in regions:
             inside = (
                 np.abs(scene.boxes[:, :2] - centres[region] - 0.5) < scene.boxes[:, 2:] / 2
@@ -45,7 +47,8 @@ def test_white_regions_are_where_the_labels_say(kind: str) -> None:
             x, y, w, h, _ = stats[region]
             found = np.array([x + w / 2, y + h / 2, w, h])
             assert np.abs(found - box).max() < 1.2
-        assert n - 1 >= 1
+            compared += 1
+    assert compared > (0.5 if kind == "c" else 0.95) * total
 
 
 def test_scattered_droplets_are_both_discs_and_ellipses_and_do_not_overlap() -> None:

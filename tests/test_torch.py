@@ -1,5 +1,6 @@
 """The PyTorch network, loss and training, against OpenCV, a loop over cells, and each other."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -273,6 +274,16 @@ def test_a_loss_that_is_no_number_stops_the_training(data: DataSet, tmp_path: Pa
     wild = settings(optimizer="sgd", learning_rate=1e12)
     with pytest.raises(DroptrackError, match="no number any more at iteration"):
         list(train(cfg, data, tmp_path, wild, None, resume=False))
+
+
+def test_a_label_of_a_class_that_is_not_there_is_named(data: DataSet, tmp_path: Path) -> None:
+    image = tmp_path / "0.jpg"
+    image.write_bytes(data.train[0].read_bytes())
+    image.with_suffix(".txt").write_text("1 0.5 0.5 0.1 0.1\n")
+    cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
+    wrong = replace(data, train=(image,))
+    with pytest.raises(DroptrackError, match=r"0\.txt: has class 1, but the data set 1 classes"):
+        list(train(cfg, wrong, tmp_path, settings(), None, resume=False))
 
 
 def test_darknets_rate_burns_in_with_the_fourth_power_and_falls_in_steps() -> None:

@@ -52,7 +52,7 @@ def test_the_papers_test_video_is_tracked_to_the_papers_accuracy(
     """The paper has 1.4e-4 without a unit; here it is reached in px²."""
     report = judge(sine, tmp_path)
     assert_all_found(report, 12)
-    assert float(report.summary["mse_y_px2"]) < 2e-5  # type: ignore[arg-type]
+    assert float(report.summary["mse_y_px2"]) < 1e-5  # type: ignore[arg-type]
     frames = list(Video(str(tmp_path / "tracked.mp4")))
     assert len(frames) == 40
     assert cv2.imread(str(tmp_path / "paths.png")) is not None
@@ -74,7 +74,7 @@ def test_cores_in_a_sheared_shell_are_all_followed(sheared_shell: Path, tmp_path
     assert float(report.summary["mse_position_px2"]) < 0.001  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("scene", "floor"), [("a", 0.985), ("b", 0.985), ("c", 0.98)])
+@pytest.mark.parametrize(("scene", "floor"), [("a", 0.995), ("b", 0.995), ("c", 0.99)])
 def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
     """MAP@0.50 by Darknet's definition on 40 pictures that the network has not seen."""
     detector = shipped(0.005)

@@ -10,6 +10,7 @@ from data_gen.droplets import (
     contour_box,
     draw_contour,
     draw_ellipses,
+    draw_polygon,
     ellipse_boxes,
 )
 
@@ -82,6 +83,17 @@ def test_contour_of_an_ellipse_is_the_ellipse() -> None:
     counted = counted_ellipse(np.array([*centre, a, b, 0.0]), 44, 40)
     assert np.abs(canvas / 255 - counted).mean() < 0.002
     np.testing.assert_allclose(contour_box(centre, radii), [*centre, 32, 18], atol=0.01)
+
+
+def test_polygon_of_an_ellipse_is_the_ellipse_also_where_the_picture_ends() -> None:
+    for cx in (20.5, 3.2):
+        a, b, cy = 16.0, 9.0, 20.2
+        t = np.arange(256) * 2 * np.pi / 256
+        canvas = np.zeros((40, 44), np.uint8)
+        draw_polygon(canvas, np.column_stack([cx + a * np.cos(t), cy + b * np.sin(t)]), WHITE)
+        counted = counted_ellipse(np.array([cx, cy, a, b, 0.0]), 44, 40)
+        assert np.abs(canvas / 255 - counted).max() < 0.13  # a place is 1/8 px wide
+        assert np.abs(canvas / 255 - counted).mean() < 0.005
 
 
 def test_black_is_drawn_over_white() -> None:

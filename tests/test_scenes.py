@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data_gen.scenes import HEIGHT, SCENES, WIDTH, Scene
+from data_gen.scenes import HEIGHT, SCENES, WIDTH, Scene, _bending
 from droptrack.detections import iou_matrix
 
 MANY = range(25)
@@ -81,6 +81,15 @@ def test_dense_clusters_nearly_touch_and_never_overlap() -> None:
         assert gap.min() > -1e-9
         gaps.append(np.median(gap.min(axis=1)))
     assert np.median(gaps) < 6
+
+
+def test_bending_keeps_the_area_of_a_droplet() -> None:
+    t = np.arange(2000) * 2 * np.pi / 2000
+    disc = 300 + 20 * np.column_stack([np.cos(t), np.sin(t)])
+    for seed in range(20):
+        x, y = _bending(np.random.default_rng(seed), 20.0)(disc).T
+        area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
+        assert area == pytest.approx(np.pi * 20**2, rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", SCENES)

@@ -1,5 +1,7 @@
 """A running colour-gradient simulation: its state in the layout of the compiled kernels."""
 
+from dataclasses import replace
+
 import numpy as np
 from numba import get_num_threads
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ class Engine:
 
     def __init__(self, params: Params, state: cg.State) -> None:
         self.params = params
-        self._state = state
+        self._state = replace(state, f=state.f.copy())
         p = params
         values = (
             p.beta,
@@ -60,7 +62,7 @@ class Engine:
 
     @property
     def state(self) -> cg.State:
-        """The state now."""
+        """The state now; the next run overwrites its f."""
         return self._state
 
     def run(self, steps: int) -> None:
@@ -80,17 +82,16 @@ class Engine:
             6 * self.params.rho_0 * self.params.inlet_velocity(s.step + k) for k in range(steps)
         ]
         rim = ((0, 0), (1, 1), (1, 1))
-        f = s.f.copy()
         e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, rim)
         q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), self._e_spans()
         e, labels = advance(
-            steps, f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(), q,
+            steps, s.f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(), q,
             spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
             self._links, np.array(inlet), self._constants, 8 * get_num_threads(),
         )  # fmt: skip
         inner = (slice(1, -1), slice(1, -1))
         fields = e[inner].copy(), labels[(slice(None), *inner)].copy()
-        self._state = cg.State(f, *fields, s.origins, s.step + steps)
+        self._state = cg.State(s.f, *fields, s.origins, s.step + steps)
 
     def _e_spans(self) -> NDArray[np.int64]:
         """Spans of where the emulsion or any droplet is, (H + 2, 2)."""

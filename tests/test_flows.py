@@ -1,0 +1,73 @@
+"""The paper's two flows at their small sizes, simulated and then tracked by the network that ships.
+
+What docs/simulations.md says of longer and larger runs was measured in the same way.
+"""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from data_gen.simulate import app
+from droptrack import track
+from droptrack.track_metrics import match, score_droplets
+from droptrack.trajectories import Trajectories, read_trajectories
+
+pytest.importorskip("numba")
+RUNNER = CliRunner()
+
+
+def simulate(out: Path, *arguments: str) -> tuple[Trajectories, dict[str, NDArray[np.float64]]]:
+    """The truth of a simulated flow and what was checked in each frame."""
+    result = RUNNER.invoke(app, [*arguments, "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    truth, _ = read_trajectories(out / "truth.csv")
+    with (out / "checks.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return truth, {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def tracked(folder: Path, truth: Trajectories) -> dict[str, float]:
+    """How well `droptrack track` as it comes follows the droplets of the video."""
+    arguments = [str(folder / "video.avi"), "--out", str(folder / "tracks"), "--no-video"]
+    result = RUNNER.invoke(track.app, arguments)
+    assert result.exit_code == 0, result.output
+    found, _ = read_trajectories(folder / "tracks" / "trajectories.csv")
+    matching = match(truth, found)
+    droplets = score_droplets(truth, found, matching, float("nan"))
+    return {
+        "missed": sum(d.n_missed for d in droplets),
+        "switches": sum(d.n_switches for d in droplets),
+        "false": matching.n_false,
+        "mse_y_px2": float(np.mean([d.mse_y_px2 for d in droplets])),
+    }
+
+
+def test_four_cores_turn_as_in_the_paper_and_are_followed(tmp_path: Path) -> None:
+    truth, checks = simulate(tmp_path, "shear", "--cores", "4", "--steps", "15000")
+    x, y = truth.x.reshape(-1, 4), truth.y.reshape(-1, 4)
+    middle = np.array([x.mean(axis=1), y.mean(axis=1)])[:, :, None]
+    angle = np.unwrap(np.arctan2(y - middle[1], x - middle[0]), axis=0)  # y down: clockwise
+    assert (np.diff(angle, axis=0) > 0).all()
+    turned = np.degrees(angle[-1] - angle[0])
+    assert turned.mean() == pytest.approx(35, abs=5)
+    assert checks["pieces"].max() == 1
+    assert checks["droplets"].min() == 4
+    assert checks["mass_drift"].max() < 1e-11
+    scores = tracked(tmp_path, truth)
+    assert scores["missed"] == scores["switches"] == scores["false"] == 0
+    assert scores["mse_y_px2"] < 0.002
+
+
+def test_nineteen_droplets_pass_the_constriction_whole_and_are_followed(tmp_path: Path) -> None:
+    truth, checks = simulate(tmp_path, "constriction")
+    assert checks["through"][-1] == 19
+    assert checks["pieces"].max() == 1
+    assert checks["droplets"].min() == 19
+    assert 0.9 < checks["density_min"].min() <= checks["density_max"].max() < 1.12
+    assert checks["mass_drift"].max() < 1e-6
+    scores = tracked(tmp_path, truth)
+    assert scores["missed"] == scores["switches"] == 0

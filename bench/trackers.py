@@ -33,7 +33,6 @@ PARTS = {
     "one way": DropletParameters(both_ways=False),
     "noise fixed": DropletParameters(learn_noise=False),
     "second boxes kept": DropletParameters(second_boxes=False),
-    "appearance": DropletParameters(appearance=10.0),
 }
 HARD = ("uniform 1.5", "shear 2", "filled", "missing 30%", "false 20%", "jitter 10%", "jitter 20%",
         "missing 10% false 5%")  # fmt: skip

@@ -16,12 +16,13 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	touch $@
 
 # everything for development, PyTorch included; the exact PyTorch first, so that extras do not
-# choose another build
+# choose another build; TrackEval without its dependencies, which would install a second OpenCV
 dev: $(VENV)/.dev
 
 $(VENV)/.dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,simulate,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt trackeval
 	touch $@
 
 demo: setup
@@ -53,6 +54,8 @@ train-droplets: dev
 bench: dev
 	$(BIN)/python -m bench
 	$(BIN)/python -m bench.simulations
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt deep-sort-realtime
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers
 
 check: dev
 	$(BIN)/ruff format --check

@@ -39,8 +39,8 @@ def rotation(truth: dict[str, Floats], steps: Floats) -> None:
             typer.echo(f"  turned at {step:7}  {mean:6.1f} deg, each {' '.join(each)}")
     if (turned[-1] > 360).all():
         whole = [np.interp(360, mine, steps) for mine in turned.T]
-        each = " ".join(f"{step:.0f}" for step in whole)
-        typer.echo(f"  one turn         {np.mean(whole):8.0f} steps, each {each}")
+        turns = " ".join(f"{step:.0f}" for step in whole)
+        typer.echo(f"  one turn         {np.mean(whole):8.0f} steps, each {turns}")
     backward = int((np.diff(turned, axis=0) <= 0).sum())
     typer.echo(f"  not clockwise    {backward} of {turned.size - n} moves between frames")
     area = truth["area"].reshape(-1, n)

@@ -85,8 +85,8 @@ class Engine:
         e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, rim)
         q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), self._e_spans()
         e, labels = advance(
-            steps, s.f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(), q,
-            spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
+            steps, s.f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(),
+            q, spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
             self._links, np.array(inlet), self._constants, 8 * get_num_threads(),
         )  # fmt: skip
         inner = (slice(1, -1), slice(1, -1))

@@ -1,6 +1,7 @@
 """Command: videos of moving droplets with their exact truth, ``python -m data_gen.simulate``."""
 
 from data_gen.constriction import constriction
+from data_gen.motions import motions
 from data_gen.shear import shear
 from data_gen.sine import sine
 from droptrack.command_line import new_app, one_line_errors
@@ -16,6 +17,7 @@ def main() -> None:
 app.command()(one_line_errors(sine))
 app.command()(one_line_errors(shear))
 app.command()(one_line_errors(constriction))
+app.command()(one_line_errors(motions))
 
 if __name__ == "__main__":
     app()

@@ -36,9 +36,14 @@ def describe(frame: NDArray[np.uint8], boxes: Floats) -> Floats:
     length = np.linalg.norm(patches, axis=1, keepdims=True)
     flat = np.full_like(patches, 1 / GRID)  # a black patch has no direction
     patches = np.where(length > 0, patches / np.where(length > 0, length, 1), flat)
-    angle = TURN_PER_E * np.log(np.maximum(boxes[:, 2] * boxes[:, 3], 1e-6)) / 2
-    size = np.column_stack([np.cos(angle), np.sin(angle)])
+    size = describe_sizes(boxes)
     return np.hstack([patches * np.sqrt(1 - SIZE_SHARE), size * np.sqrt(SIZE_SHARE)])
+
+
+def describe_sizes(boxes: Floats) -> Floats:
+    """Unit descriptors (N, 2) of boxes (N, 4) by their size alone, where there is no picture."""
+    angle = TURN_PER_E * np.log(np.maximum(boxes[:, 2] * boxes[:, 3], 1e-6)) / 2
+    return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def _sample(

@@ -5,6 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -53,3 +55,51 @@ def matching_cascade(
         free = np.delete(free, columns)
     none = np.zeros(0, np.int64)
     return np.concatenate([none, *tracks]), np.concatenate([none, *detections])
+
+
+def assign_sparse(
+    rows: Rows, columns: Rows, cost: Floats, cost_of_none: float
+) -> tuple[Rows, Rows]:
+    """Pairs with the least total cost out of P possible ones: row, column and cost of each.
+
+    Every row left without a column costs `cost_of_none`; pairs must cost less. Only possible pairs
+    take time and memory (Jonker & Volgenant 1987, sparse).
+    """
+    if not len(rows):
+        return rows, columns
+    # a row and a column that have no other choice than each other need no search
+    row_ids, row_at, row_uses = np.unique(rows, return_inverse=True, return_counts=True)
+    column_ids, column_at, column_uses = np.unique(columns, return_inverse=True, return_counts=True)
+    plain = (row_uses[row_at] == 1) & (column_uses[column_at] == 1)
+    if plain.all():
+        return rows, columns
+    row_ids, row_at = np.unique(rows[~plain], return_inverse=True)
+    column_ids, column_at = np.unique(columns[~plain], return_inverse=True)
+    n, m = len(row_ids), len(column_ids)
+    # each row may also take a column of its own, which stands for none; costs must be positive
+    every = np.arange(n)
+    shift = 1 - min(float(cost[~plain].min()), cost_of_none)
+    values = np.append(cost[~plain], np.full(n, cost_of_none)) + shift
+    graph = csr_matrix(
+        (values, (np.append(row_at, every), np.append(column_at, m + every))), shape=(n, m + n)
+    )
+    chosen_rows, chosen_columns = min_weight_full_bipartite_matching(graph)
+    real = chosen_columns < m
+    return (
+        np.append(rows[plain], row_ids[chosen_rows[real]]),
+        np.append(columns[plain], column_ids[chosen_columns[real]]),
+    )
+
+
+def take_in_turn(rows: Rows, columns: Rows, cost: Floats, cost_of_none: float) -> tuple[Rows, Rows]:
+    """Like `assign_sparse`, but greedy: the cheapest pair first, then the next that is free."""
+    taken_rows: set[int] = set()
+    taken_columns: set[int] = set()
+    chosen = []
+    for i in np.argsort(cost, kind="stable").tolist():
+        row, column = int(rows[i]), int(columns[i])
+        if cost[i] < cost_of_none and row not in taken_rows and column not in taken_columns:
+            taken_rows.add(row)
+            taken_columns.add(column)
+            chosen.append(i)
+    return rows[chosen], columns[chosen]

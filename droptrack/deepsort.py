@@ -9,6 +9,7 @@ from droptrack import kalman
 from droptrack.appearance import cosine_distances
 from droptrack.association import FORBIDDEN, assign, matching_cascade
 from droptrack.detections import iou_matrix
+from droptrack.tracks import Update
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -36,15 +37,6 @@ class Track:
     gallery: list[Floats] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class Update:
-    """What one frame did: the track of each detection (M,), and tracks confirmed and ended."""
-
-    track_ids: Rows
-    confirmed: tuple[int, ...]
-    ended: tuple[int, ...]
-
-
 class Tracker:
     """Follows droplets; call `update` with each frame's detections, also when there are none."""
 
@@ -54,6 +46,9 @@ class Tracker:
         self.mean = np.zeros((0, 4, 2))
         self.covariance = np.zeros((0, 4, 2, 2))
         self._next_id = 1
+        self.max_age = parameters.max_age
+        self.delay = parameters.n_init - 1
+        self.n_init = parameters.n_init
 
     def update(self, boxes: Floats, descriptors: Floats) -> Update:
         """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""

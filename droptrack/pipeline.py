@@ -1,21 +1,28 @@
 """Video -> detections -> tracks -> centres of mass -> trajectories, frame by frame."""
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from droptrack.appearance import describe
 from droptrack.centroid import centres_of_mass
-from droptrack.deepsort import Parameters, Tracker
 from droptrack.detector import Detector
 from droptrack.drawing import Annotator
-from droptrack.recorder import Recorder
+from droptrack.recorder import Recorded, Recorder
 from droptrack.report import Report, Value
-from droptrack.trajectories import Trajectories, TrajectoryWriter
+from droptrack.smoothing import COLUMNS as SMOOTHED
+from droptrack.smoothing import Smoother
+from droptrack.tracks import Tracker
+from droptrack.trajectories import BOX_CENTRE, Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.video import Frame, VideoWriter
+
+FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
+# a frame and boxes (N, 4) -> unit descriptors (N, D)
+Describe = Callable[[Frame, NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass
@@ -29,10 +36,23 @@ class Results:
     n_detections: int = 0
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
     _annotator: Annotator = field(default_factory=Annotator)
+    _smoother: Smoother = field(default_factory=Smoother)
 
-    def take(self, rows: Trajectories) -> None:
-        """Write final rows."""
-        self.rows.write(rows, (rows.boxes[:, 0], rows.boxes[:, 1]))
+    def take(self, recorded: Recorded) -> None:
+        """Write final rows, once they are smoothed."""
+        for done, smoothed in self._smoother.add(recorded):
+            self._write(done, smoothed)
+
+    def take_rest(self, recorded: Recorded) -> None:
+        """Write all that is left."""
+        self.take(recorded)
+        for done, smoothed in self._smoother.rest():
+            self._write(done, smoothed)
+
+    def _write(self, recorded: Recorded, smoothed: NDArray[np.float64]) -> None:
+        rows = recorded.rows
+        extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured.astype(float), *smoothed.T)
+        self.rows.write(rows, extra)
 
     def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
         """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
@@ -56,13 +76,13 @@ class Results:
 def follow(
     frames: Iterable[Frame],
     detector: Detector,
-    parameters: Parameters,
+    tracker: Tracker,
+    describe: Describe,
     batch: int,
     results: Results,
 ) -> Iterator[int]:
     """Detect and track frame by frame into `results`; yields the number of frames done."""
-    tracker, recorder = Tracker(parameters), Recorder(parameters.max_age)
-    delay = parameters.n_init - 1
+    recorder = Recorder(tracker.max_age)
     source = iter(frames)
     try:
         while pictures := list(islice(source, batch)):
@@ -70,17 +90,17 @@ def follow(
                 index = results.n_frames
                 update = tracker.update(detections.boxes, describe(frame, detections.boxes))
                 centres, measured = centres_of_mass(frame, detections.boxes)
-                recorder.add(index, centres, detections.boxes, detections.scores, update)
+                recorder.add(index, detections, centres, measured, update)
                 results.n_frames += 1
                 results.n_detections += len(detections)
                 results.n_measured += int(measured.sum())
-                results.show(index, frame, recorder, delay)
-                results.take(recorder.take_final(index - delay))
+                results.show(index, frame, recorder, tracker.delay)
+                results.take(recorder.take_final(index - tracker.delay))
             yield results.n_frames
     finally:
         results.show_rest(recorder)
-        too_short = results.n_frames < parameters.n_init  # for any track to be confirmed
-        results.take(recorder.take_rest(unconfirmed=too_short))
+        too_short = results.n_frames < tracker.n_init  # for any track to be confirmed
+        results.take_rest(recorder.take_rest(unconfirmed=too_short))
 
 
 def summarise(
@@ -114,3 +134,16 @@ def summarise(
         "frames_per_second": results.n_frames / seconds,
     }
     return Report("Droplets", settings, summary, droplets)
+
+
+def finish(
+    out: Path, size: tuple[int, int], settings: dict[str, Value], results: Results, seconds: float
+) -> None:
+    """Write the plot, of a picture of `size` px, and the report, and print the table."""
+    from droptrack.plots import plot_paths
+
+    rows, _ = read_trajectories(out / "trajectories.csv")
+    report = summarise(rows, settings, results, seconds)
+    report.write_json(out / "report.json")
+    report.print()
+    plot_paths(out / "paths.png", rows, *size)

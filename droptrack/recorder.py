@@ -5,23 +5,36 @@ missed for a while and is the same. So rows are held back for a few frames: thos
 frames are added when it is confirmed, and gaps are bridged when it is seen again.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.deepsort import Update
-from droptrack.trajectories import Trajectories, sorted_trajectories
+from droptrack.detections import Detections
+from droptrack.tracks import Update
+from droptrack.trajectories import Trajectories
 
 Floats = NDArray[np.float64]
 
 
 class Row(NamedTuple):
-    """One droplet in one frame; `values` are x, y, box cx, cy, w, h and the score."""
+    """One droplet in one frame.
+
+    `values` are x, y, box cx, cy, w, h, the score, and 1 where x, y is a measured centre of mass.
+    """
 
     track_id: int
     values: Floats
     observed: bool
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """M final rows, and whether the position of each (M,) is a measured centre of mass."""
+
+    rows: Trajectories
+    measured: NDArray[np.bool_]
 
 
 class Recorder:
@@ -35,12 +48,20 @@ class Recorder:
         self._frames: dict[int, list[Row]] = {}
 
     def add(
-        self, frame: int, centres: Floats, boxes: Floats, scores: Floats, update: Update
+        self,
+        frame: int,
+        detections: Detections,
+        centres: Floats,
+        measured: NDArray[np.bool_],
+        update: Update,
     ) -> None:
-        """Take a frame's detections: centres of mass (M, 2), boxes (M, 4), scores (M,), tracks."""
-        values = np.column_stack([centres, boxes, scores])
+        """Take a frame's M detections, their centres (M, 2), those measured (M,), their tracks."""
+        values = np.column_stack([centres, detections.boxes, detections.scores, measured])
         self._frames[frame] = []
         self._confirmed.update(update.confirmed)
+        for young, old in update.joined:
+            self._continue(old, self._waiting.pop(young, []))
+            self._last.pop(young, None)
         for track_id, row_values in zip(update.track_ids.tolist(), values, strict=True):
             row = Row(track_id, row_values, observed=True)
             if track_id in self._confirmed:
@@ -60,15 +81,29 @@ class Recorder:
         """What is known of a frame now; the last few frames may still get rows."""
         return self._frames.get(frame, [])
 
-    def take_final(self, frame: int) -> Trajectories:
+    def take_final(self, frame: int) -> Recorded:
         """Rows that nothing in or after `frame` can change any more; they are handed out once."""
         return self._take([f for f in self._frames if f < frame - self.max_age])
 
-    def take_rest(self, *, unconfirmed: bool) -> Trajectories:
+    def take_rest(self, *, unconfirmed: bool) -> Recorded:
         """All rows left, at the video's end; also those of tracks not yet confirmed if wanted."""
         for track_id in list(self._waiting) if unconfirmed else []:
             self._release(track_id)
         return self._take(list(self._frames))
+
+    def _continue(self, track_id: int, rows: list[tuple[int, Row]]) -> None:
+        """Give a track the rows of another; where it has one of its own, the larger box counts."""
+        for frame, row in rows:
+            mine = row._replace(track_id=track_id)
+            if frame > self._last[track_id][0]:
+                self._bridge(frame, mine)
+                self._frames.setdefault(frame, []).append(mine)
+                self._last[track_id] = (frame, mine)
+            else:
+                self._frames[frame] = [
+                    mine if other.track_id == track_id and _area(mine) > _area(other) else other
+                    for other in self._frames.get(frame, [])
+                ]
 
     def _bridge(self, frame: int, row: Row) -> None:
         """Fill the frames since the track was last seen, on a straight line, with score 0."""
@@ -79,17 +114,18 @@ class Recorder:
         for between in range(start + 1, frame):
             share = (between - start) / (frame - start)
             values = (1 - share) * before.values + share * row.values
-            values[6] = 0
+            values[6:] = 0
             self._frames.setdefault(between, []).append(Row(row.track_id, values, observed=False))
 
     def _release(self, track_id: int) -> None:
         for frame, row in self._waiting.pop(track_id, []):
             self._frames.setdefault(frame, []).append(row)
 
-    def _take(self, frames: list[int]) -> Trajectories:
-        taken = [(frame, row) for frame in sorted(frames) for row in self._frames.pop(frame)]
-        values = np.array([row.values for _, row in taken]).reshape(-1, 7)
-        return sorted_trajectories(
+    def _take(self, frames: list[int]) -> Recorded:
+        taken = [(frame, row) for frame in frames for row in self._frames.pop(frame)]
+        taken.sort(key=lambda pair: (pair[0], pair[1].track_id))
+        values = np.array([row.values for _, row in taken]).reshape(-1, 8)
+        rows = Trajectories(
             np.array([frame for frame, _ in taken], np.int64),
             np.array([row.track_id for _, row in taken], np.int64),
             values[:, 0],
@@ -98,3 +134,8 @@ class Recorder:
             values[:, 6],
             np.array([row.observed for _, row in taken], bool),
         )
+        return Recorded(rows, values[:, 7] > 0)
+
+
+def _area(row: Row) -> float:
+    return float(row.values[4] * row.values[5])

@@ -2,7 +2,6 @@
 
 import hashlib
 import time
-from dataclasses import asdict
 from enum import StrEnum
 from itertools import islice
 from pathlib import Path
@@ -15,11 +14,13 @@ from droptrack.command_line import new_app, one_line_errors, progress_bar
 from droptrack.darknet_files import read_cfg
 from droptrack.deepsort import Parameters
 from droptrack.engines.opencv_dnn import OpenCvDetector
+from droptrack.from_detections import track_detections
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
-from droptrack.pipeline import Results, follow, summarise
+from droptrack.pipeline import FURTHER_COLUMNS, Results, finish, follow
 from droptrack.report import Value
-from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter, read_trajectories
-from droptrack.video import Video, VideoInfo, VideoWriter
+from droptrack.tracker_choice import TrackerName, choose_appearance, make_tracker
+from droptrack.trajectories import TrajectoryWriter
+from droptrack.video import Video, VideoWriter
 
 
 class Backend(StrEnum):
@@ -36,7 +37,15 @@ app = new_app()
 @app.command()
 @one_line_errors
 def main(
-    video: Annotated[str, typer.Argument(help="Video file, folder of images, or camera index.")],
+    video: Annotated[
+        str | None, typer.Argument(help="Video file, folder of images, or camera index.")
+    ] = None,
+    detections: Annotated[
+        Path | None, typer.Option(help="Instead of a video: boxes in MOT Challenge's format.")
+    ] = None,
+    descriptors: Annotated[
+        Path | None, typer.Option(help="What they look like: .npy, a row for each.")
+    ] = None,
     weights: Annotated[
         Path | None, typer.Option(help="Darknet weights; without, the network that ships.")
     ] = None,
@@ -54,15 +63,43 @@ def main(
     ] = 0.3,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[int, typer.Option(min=0, help="Stop after these; 0: never.")] = 0,
-    max_cosine_distance: Annotated[float, typer.Option(min=0)] = Parameters.max_cosine_distance,
+    tracker: Annotated[TrackerName, typer.Option(help="How.")] = TrackerName.droplet,
+    appearance: Annotated[
+        Path | None, typer.Option(help="Network that tells droplets apart: .onnx, or Darknet .cfg.")
+    ] = None,
+    appearance_weights: Annotated[Path | None, typer.Option(help="Of that .cfg.")] = None,
+    appearance_size: Annotated[
+        tuple[int, int], typer.Option(help="Width and height of that network's input, px.")
+    ] = (64, 64),
+    max_age: Annotated[
+        int | None, typer.Option(min=1, help="Frames that a droplet may be missed.")
+    ] = None,
+    n_init: Annotated[
+        int | None, typer.Option(min=1, help="Detections that make a droplet.")
+    ] = None,
+    max_cosine_distance: Annotated[
+        float, typer.Option(min=0, help="DeepSORT's, as the next two.")
+    ] = Parameters.max_cosine_distance,
     nn_budget: Annotated[int, typer.Option(min=1)] = Parameters.nn_budget,
     max_iou_distance: Annotated[float, typer.Option(min=0, max=1)] = Parameters.max_iou_distance,
-    max_age: Annotated[int, typer.Option(min=1)] = Parameters.max_age,
-    n_init: Annotated[int, typer.Option(min=1)] = Parameters.n_init,
 ) -> None:
     """Follow the droplets in a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
+    follower, tracker_settings = make_tracker(
+        tracker,
+        Parameters(max_cosine_distance, nn_budget, max_iou_distance),
+        max_age=max_age,
+        n_init=n_init,
+        by_appearance=appearance is not None or descriptors is not None,
+    )
+    if detections is not None:
+        if video is not None or appearance is not None:
+            raise DroptrackError("--detections takes the place of a video and its networks")
+        track_detections(detections, descriptors, follower, tracker_settings, out)
+        return
+    if video is None or descriptors is not None:
+        raise DroptrackError("name a video, or a file with --detections (and --descriptors)")
     weights = weights or SHIPPED_WEIGHTS
-    parameters = Parameters(max_cosine_distance, nn_budget, max_iou_distance, max_age, n_init)
+    describe = choose_appearance(appearance, appearance_weights, appearance_size)
     network = read_cfg(cfg or find_cfg(weights))
     detector = OpenCvDetector(network, weights, backend.value, score, max_iou)
     source = Video(video)
@@ -83,11 +120,11 @@ def main(
         "backend": detector.name,
         "score": score,
         "max_iou": max_iou,
-        **asdict(parameters),
+        **tracker_settings,
     }
     problem: DroptrackError | None = None
     began = time.perf_counter()
-    with TrajectoryWriter(out / "trajectories.csv", about, BOX_CENTRE) as rows:
+    with TrajectoryWriter(out / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
         writer = None if no_video else VideoWriter(out / "tracked.mp4", info, "mp4v")
         results = Results(rows, writer)
         frames = islice(source, max_frames) if max_frames else source
@@ -96,7 +133,7 @@ def main(
         with progress_bar("frames") as progress:
             task = progress.add_task("tracking", total=total or None, note="")
             try:
-                for done in follow(frames, detector, parameters, batch, results):
+                for done in follow(frames, detector, follower, describe, batch, results):
                     rate = done / (time.perf_counter() - began)
                     progress.update(task, completed=done, note=f"{rate:.1f} frames/s")
             except KeyboardInterrupt:
@@ -108,7 +145,7 @@ def main(
                 writer.close()
         except DroptrackError as error:
             problem = problem or error
-    finish(out, info, settings, results, time.perf_counter() - began)
+    finish(out, (info.width, info.height), settings, results, time.perf_counter() - began)
     if problem is not None:
         raise DroptrackError(f"{problem}; what was tracked until there is in {out}")
     if 0 < results.n_frames < total:
@@ -116,19 +153,6 @@ def main(
             f"{video}: ends after {results.n_frames} of the {total} frames it claims", err=True
         )
     typer.echo(f"results in {out}")
-
-
-def finish(
-    out: Path, info: VideoInfo, settings: dict[str, Value], results: Results, seconds: float
-) -> None:
-    """Write the plot and the report, and print the table."""
-    from droptrack.plots import plot_paths
-
-    rows, _ = read_trajectories(out / "trajectories.csv")
-    report = summarise(rows, settings, results, seconds)
-    report.write_json(out / "report.json")
-    report.print()
-    plot_paths(out / "paths.png", rows, info.width, info.height)
 
 
 if __name__ == "__main__":

@@ -67,6 +67,9 @@ def match(truth: Trajectories, result: Trajectories) -> Matching:
         before = np.array([identities.get(i, 0) for i in truth.track_id[t].tolist()], np.int64)
         stays = (before[:, None] == result.track_id[r][None]) & (cost < FORBIDDEN)
         rows, columns = np.nonzero(stays)
+        nearest = np.argsort(cost[rows, columns], kind="stable")
+        _, first = np.unique(columns[nearest], return_index=True)  # one identity is one droplet
+        rows, columns = rows[nearest[first]], columns[nearest[first]]
         free_t, free_r = np.delete(np.arange(len(t)), rows), np.delete(np.arange(len(r)), columns)
         more_rows, more_columns = assign(cost[np.ix_(free_t, free_r)], FORBIDDEN / 2)
         rows = np.append(rows, free_t[more_rows])

@@ -111,6 +111,15 @@ def test_a_pair_stays_together_though_another_is_nearer() -> None:
     assert (summary["n_switches"], summary["n_false"]) == (0, 1)
 
 
+def test_one_position_is_never_two_droplets() -> None:
+    """Both droplets were identity 1 last; in frame 2 it is half way between them: the nearer's."""
+    truth = table([(0, 1, 20, 50), (0, 2, 24, 50), (1, 2, 24, 50), (2, 1, 20, 50), (2, 2, 24, 50)])
+    found = table([(0, 1, 20, 50), (1, 1, 24, 50), (2, 1, 22.5, 50)])
+    report = evaluate(truth, found, 100)
+    assert [report.summary[k] for k in ("n_false", "n_missed")] == [0, 2]
+    assert [row["n_missed"] for row in report.droplets] == [1, 1]
+
+
 def test_droplets_cut_off_by_the_edge_may_be_found_or_not() -> None:
     whole, cut = lane(1, 50, range(8)), lane(1, 50, range(8, 10))
     both = table(whole + cut)

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from droptrack.deepsort import Update
-from droptrack.recorder import Recorder
-from droptrack.trajectories import Trajectories
+from droptrack.detections import Detections
+from droptrack.recorder import Recorded, Recorder
+from droptrack.tracks import Update
 
 
 def add(
@@ -12,15 +12,19 @@ def add(
     where: dict[int, float],
     confirmed: tuple[int, ...] = (),
     ended: tuple[int, ...] = (),
+    joined: tuple[tuple[int, int], ...] = (),
 ) -> None:
     """Droplets by identity at x = y = where, boxes of 10 px."""
     ids = np.array(list(where), np.int64)
     centres = np.array([[v, v] for v in where.values()]).reshape(-1, 2)
     boxes = np.hstack([centres, np.full_like(centres, 10)])
-    recorder.add(frame, centres, boxes, np.full(len(ids), 0.9), Update(ids, confirmed, ended))
+    found = Detections(boxes, np.full(len(ids), 0.9), np.zeros(len(ids), np.int64))
+    measured = np.ones(len(ids), bool)
+    recorder.add(frame, found, centres, measured, Update(ids, confirmed, ended, joined))
 
 
-def table(rows: Trajectories) -> list[tuple[int, int, float, bool]]:
+def table(recorded: Recorded) -> list[tuple[int, int, float, bool]]:
+    rows = recorded.rows
     return list(
         zip(
             rows.frame.tolist(),
@@ -43,7 +47,7 @@ def test_a_track_that_is_never_confirmed_leaves_no_rows() -> None:
     recorder = Recorder(max_age=30)
     add(recorder, 0, {1: 5})
     add(recorder, 1, {}, ended=(1,))
-    assert len(recorder.take_rest(unconfirmed=True)) == 0
+    assert table(recorder.take_rest(unconfirmed=True)) == []
 
 
 def test_a_gap_is_bridged_on_a_straight_line_and_said_to_be() -> None:
@@ -54,7 +58,8 @@ def test_a_gap_is_bridged_on_a_straight_line_and_said_to_be() -> None:
     add(recorder, 3, {1: 16.0})
     rows = recorder.take_rest(unconfirmed=False)
     assert table(rows) == [(0, 1, 10, True), (1, 1, 12, False), (2, 1, 14, False), (3, 1, 16, True)]
-    assert rows.scores.tolist() == [0.9, 0, 0, 0.9]
+    assert rows.rows.scores.tolist() == [0.9, 0, 0, 0.9]
+    assert rows.measured.tolist() == [True, False, False, True]
 
 
 def test_rows_are_final_once_no_gap_can_reach_back_and_given_once() -> None:
@@ -75,3 +80,33 @@ def test_the_rows_of_a_frame_can_be_seen_before_they_are_final() -> None:
     add(recorder, 1, {1: 2.0}, confirmed=(1,))
     assert [row.track_id for row in recorder.rows_of(0)] == [1]
     assert recorder.rows_of(0)[0].values[0] == pytest.approx(1)
+
+
+def test_a_new_track_that_continues_an_old_one_gets_its_identity_and_the_gap_is_bridged() -> None:
+    recorder = Recorder(max_age=30)
+    add(recorder, 0, {1: 10.0}, confirmed=(1,))
+    add(recorder, 1, {})
+    add(recorder, 2, {2: 14.0})
+    add(recorder, 3, {1: 16.0}, joined=((2, 1),))
+    assert table(recorder.take_rest(unconfirmed=False)) == [
+        (0, 1, 10, True),
+        (1, 1, 12, False),
+        (2, 1, 14, True),
+        (3, 1, 16, True),
+    ]
+
+
+def test_of_two_boxes_of_one_droplet_the_larger_counts() -> None:
+    """Two tracks side by side that turn out to be one: never two rows of it in a frame."""
+    recorder = Recorder(max_age=30)
+    add(recorder, 0, {1: 10.0}, confirmed=(1,))
+    boxes = np.array([[11.0, 11, 8, 8], [13.0, 13, 9, 9]])
+    found = Detections(boxes, np.ones(2), np.zeros(2, np.int64))
+    update = Update(np.array([1, 2]), (), ())
+    recorder.add(1, found, boxes[:, :2], np.ones(2, bool), update)
+    add(recorder, 2, {1: 14.0}, joined=((2, 1),))
+    assert table(recorder.take_rest(unconfirmed=False)) == [
+        (0, 1, 10, True),
+        (1, 1, 13, True),
+        (2, 1, 14, True),
+    ]

@@ -1,0 +1,93 @@
+"""Score trackers on the motions of `data_gen.motions` with TrackEval's metrics."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from trackeval.metrics import CLEAR, HOTA, Identity
+
+from droptrack.appearance import describe_sizes
+from droptrack.detections import Detections
+from droptrack.recorder import Recorder
+from droptrack.tracks import Tracker
+from droptrack.trajectories import Trajectories
+
+Floats = NDArray[np.float64]
+QUIET = {"PRINT_CONFIG": False}
+
+
+@dataclass(frozen=True)
+class Score:
+    """MOTA, IDF1 and HOTA from 0 to 1; switches per 1,000 droplet-frames; errors in diameters."""
+
+    mota: float
+    idf1: float
+    hota: float
+    switches: int
+    switches_per_1000: float
+    position_rms: float
+    milliseconds: float  # a frame, the tracker alone, median
+
+
+def follow(tracker: Tracker, frames: Sequence[Detections]) -> tuple[Trajectories, float]:
+    """The rows of a tracker, and the median milliseconds it takes for a frame."""
+    recorder = Recorder(tracker.max_age)
+    times = []
+    for index, found in enumerate(frames):
+        looks = describe_sizes(found.boxes)
+        start = time.perf_counter()
+        update = tracker.update(found.boxes, looks)
+        times.append(1e3 * (time.perf_counter() - start))
+        recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
+    return recorder.take_rest(unconfirmed=False).rows, float(np.median(times))
+
+
+def score(truth: Trajectories, result: Trajectories, milliseconds: float = np.nan) -> Score:
+    """Compare with the truth; two are the same within half a diameter of the true droplet.
+
+    TrackEval takes similarities and matches from 0.5 on: 1 - distance / diameter.
+    """
+    data = _trackeval_data(truth, result)
+    clear = CLEAR(QUIET).eval_sequence(data)
+    return Score(
+        mota=float(clear["MOTA"]),
+        idf1=float(Identity(QUIET).eval_sequence(data)["IDF1"]),
+        hota=float(np.mean(HOTA().eval_sequence(data)["HOTA"])),
+        switches=int(clear["IDSW"]),
+        switches_per_1000=1000 * float(clear["IDSW"]) / len(truth),
+        position_rms=data["position_rms"],
+        milliseconds=milliseconds,
+    )
+
+
+def _trackeval_data(truth: Trajectories, result: Trajectories) -> dict[str, Any]:
+    true_names, true_ids = np.unique(truth.track_id, return_inverse=True)
+    names, ids = np.unique(result.track_id, return_inverse=True)
+    n_frames = int(max(truth.frame.max(initial=-1), result.frame.max(initial=-1))) + 1
+    rows = [
+        [slice(*np.searchsorted(table.frame, [t, t + 1])) for t in range(n_frames)]
+        for table in (truth, result)
+    ]
+    similarities, squares = [], []
+    for t, r in zip(*rows, strict=True):
+        apart = np.hypot(
+            truth.x[t][:, None] - result.x[r][None], truth.y[t][:, None] - result.y[r][None]
+        ) / np.sqrt(truth.boxes[t, 2] * truth.boxes[t, 3]).reshape(-1, 1)
+        similarities.append(np.maximum(1 - apart, 0))
+        near = apart.min(axis=1, initial=np.inf)
+        squares.append(near[near <= 0.5] ** 2)
+    mean = np.concatenate(squares).mean() if any(map(len, squares)) else np.nan
+    return {
+        "num_timesteps": n_frames,
+        "num_gt_dets": len(truth),
+        "num_gt_ids": len(true_names),
+        "num_tracker_dets": len(result),
+        "num_tracker_ids": len(names),
+        "gt_ids": [true_ids[t] for t in rows[0]],
+        "tracker_ids": [ids[r] for r in rows[1]],
+        "similarity_scores": similarities,
+        "position_rms": float(np.sqrt(mean)),
+    }

@@ -1,0 +1,394 @@
+"""The tracker made for droplets: DeepSORT's skeleton, its constants in diameters and frames.
+
+Each frame: predict all tracks (`motion`), those whose velocity is not known by the flow around them
+(`flow`); weigh each track against the detections near its prediction; assign all at once; start
+tracks for what is left. A droplet lost for some frames is looked for again from both ends.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from droptrack import flow, motion
+from droptrack.association import assign_sparse, take_in_turn
+from droptrack.droplet_tracks import new_tracks
+from droptrack.motion import Motion
+from droptrack.tracks import Update
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+CANDIDATES = 8  # detections that a track is weighed against
+MISS_COST = 15.0  # -2 log likelihood of a miss and FEWEST_FALSE false ones a squared diameter
+FEWEST_FALSE = 1e-3
+ENOUGH_EVIDENCE = 25.0  # 2 log likelihood ratio that makes a droplet
+JUMP = 0.3  # diameters, standard deviation where a box is wrong,
+JUMP_FROM = 12.0  # squared standard deviations
+JUMP_COST = 9.0  # which happens to one in a hundred: -2 log 0.01
+WRONG_SIZE = 0.3  # standard deviation of the logarithm of width and height of a wrong box
+ANY_SIZE = 0.4  # the same of boxes that are not the droplet's
+SIZE_GAIN = 0.2  # of a new size in a track's mean size,
+AREA_GAIN = 0.02  # and in its mean area over a long time
+LEAST_SPREAD = 0.08  # diameters; no prediction is surer
+NOISE_RANGE = (0.01, 0.25)  # diameters
+SIZE_NOISE_RANGE = (0.05, 0.5)
+ACCELERATION_RANGE = (0.01, 0.2)  # diameters a frame²
+LEARNING = 0.05  # share of a frame in what is learned about the noise
+JOIN_GATE = 11.8  # chi-square of two degrees of freedom, 99.7 %
+HALF_COVERED = 0.4  # share of a box, from which it may be a second one of the droplet it lies on
+TWO_HALVES = 1.5  # areas of two boxes of one droplet, in areas of its box before
+SECOND_BOX_FRAMES = 15  # after which it is a droplet of its own
+LEAST_RATE = 0.6  # detections a frame of a new track
+
+
+@dataclass(frozen=True)
+class DropletParameters:
+    """Lengths are in droplet diameters, times in frames. The switches are there to be measured."""
+
+    max_step: float = 2.5  # how far a droplet may move in the first frame it is followed
+    unknown_step: float = 0.5  # standard deviation of the first step where there is no flow
+    noise: float = 0.04  # standard deviation of a box's centre, at first; it is learned
+    acceleration: float = 0.05  # standard deviation, at first; it is learned
+    size_noise: float = 0.15  # of the logarithm of width and height, at first; it is learned
+    max_age: int = 20  # frames that a droplet may be missed
+    short_gap: int = 6  # of them, those after which one detection is enough to find it again
+    n_init: int = 3  # detections that make a droplet
+    appearance: float = 0.0  # cost of a cosine distance of one
+    flow: bool = True  # velocities that are not known are those of the neighbours
+    size: bool = True  # sizes count
+    jointly: bool = True  # one assignment of all; else each pair in turn, the best first
+    both_ways: bool = True  # lost droplets are joined to new ones looking from both ends
+    learn_noise: bool = True
+    second_boxes: bool = True  # a new box on a droplet that has one waits
+
+
+class DropletTracker:
+    """Follows droplets; call `update` with each frame's detections, also when there are none."""
+
+    def __init__(self, parameters: DropletParameters) -> None:
+        self.parameters = parameters
+        self.noise, self.acceleration = parameters.noise, parameters.acceleration
+        self.size_noise = parameters.size_noise
+        self.false_density = FEWEST_FALSE  # unexpected boxes a squared diameter
+        self.tracks = new_tracks(np.zeros((0, 4)), np.zeros((0, 0)), 1)
+        self._next_id = 1
+        self._lessons = self._lessons_of_false = 0
+
+    @property
+    def max_age(self) -> int:
+        """Frames that a droplet may be missed and still be the same."""
+        return self.parameters.max_age
+
+    @property
+    def n_init(self) -> int:
+        """Detections that make a droplet."""
+        return self.parameters.n_init
+
+    @property
+    def delay(self) -> int:
+        """Frames until a new droplet is known to be one."""
+        return SECOND_BOX_FRAMES + 1
+
+    def update(self, boxes: Floats, descriptors: Floats) -> Update:
+        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
+        if len(boxes) != len(descriptors):
+            raise ValueError(f"{len(boxes)} boxes with {len(descriptors)} descriptors")
+        looks = descriptors if self.parameters.appearance else np.zeros((len(boxes), 0))
+        if not len(self.tracks.ids):
+            self.tracks = new_tracks(boxes[:0], looks[:0], self._next_id)
+        self._predict(boxes)
+        rows, columns, evidence = self._match(boxes, looks)
+        self.tracks.evidence[rows] += evidence
+        seconds = self._second_boxes(boxes, rows, columns)
+        self._correct(rows, boxes[columns], looks[columns])
+        track_ids = np.zeros(len(boxes), np.int64)
+        track_ids[columns] = self.tracks.ids[rows]
+        track_ids[track_ids == 0] = self._start(boxes, looks, columns, seconds)
+        joined = self._join()
+        confirmed = self._confirm()
+        for young, old in joined:
+            track_ids[track_ids == young] = old
+        ended = self._drop_lost()
+        return Update(track_ids, confirmed, ended, joined)
+
+    def _predict(self, boxes: Floats) -> None:
+        """All tracks one frame on, those of unknown velocity with the flow."""
+        tracks, p = self.tracks, self.parameters
+        diameters = tracks.diameters
+        velocity, covariance = tracks.state.velocity.copy(), tracks.state.covariance.copy()
+        known = (tracks.hits >= 3) & (tracks.missed == 0)
+        unknown = np.flatnonzero(tracks.hits == 1)
+        lost = np.flatnonzero((tracks.missed > 0) & (tracks.hits > 1))
+        both = np.concatenate([unknown, lost])
+        if p.flow and len(both):
+            mean, variance = flow.velocity_of_neighbours(
+                tracks.state.position[both],
+                diameters[both],
+                tracks.state.position[known],
+                velocity[known],
+            )
+            k = len(unknown)
+            told = np.isfinite(variance[:k])
+            rows = unknown[told]
+            velocity[rows] = mean[:k][told]
+            covariance[rows, 2] = variance[:k][told] + (0.15 * diameters[rows]) ** 2
+            rest = unknown[~told & (tracks.missed[unknown] == 0)]
+            seen = tracks.missed == 0
+            step, share = flow.displacement_of_pattern(
+                tracks.state.position[seen],
+                diameters[seen],
+                np.searchsorted(np.flatnonzero(seen), rest),
+                boxes[:, :2],
+                p.max_step,
+            )
+            sure = rest[share > 0.5]
+            velocity[sure] = step[share > 0.5]
+            covariance[sure, 2] = (0.2 * diameters[sure]) ** 2
+            # the flow is one more measurement of the velocity of those that are lost
+            told = np.isfinite(variance[k:])
+            rows = lost[told]
+            noise = variance[k:][told] + (0.1 * diameters[rows]) ** 2
+            gain = covariance[rows, 2] / (covariance[rows, 2] + noise)
+            velocity[rows] += gain[:, None] * (mean[k:][told] - velocity[rows])
+            covariance[rows, 2] *= 1 - gain
+            covariance[rows, 1] *= 1 - gain
+        state = Motion(tracks.state.position, velocity, covariance)
+        tracks.state = motion.predict(state, self.acceleration * diameters)
+        tracks.missed = tracks.missed + 1
+        tracks.frames = tracks.frames + 1
+
+    def _match(self, boxes: Floats, descriptors: Floats) -> tuple[Rows, Rows, Floats]:
+        """Rows of tracks and detections that belong together, and the evidence that they do."""
+        tracks, p = self.tracks, self.parameters
+        none = np.zeros(0, np.int64)
+        if not len(tracks.ids) or not len(boxes):
+            return none, none, np.zeros(0)
+        diameters = tracks.diameters
+        k = min(CANDIDATES, len(boxes))
+        distance, near = flow.nearest(cKDTree(boxes[:, :2]), tracks.state.position, k)
+        recent = tracks.missed <= (p.short_gap + 1 if p.both_ways else p.max_age)
+        rows, place = np.nonzero((distance <= p.max_step * diameters[:, None]) & recent[:, None])
+        columns = near[rows, place]
+        scale = diameters[rows]
+        spread = self._spread()[rows] / scale**2
+        square = (distance[rows, place] / scale) ** 2
+        cost = square / spread + 2 * np.log(2 * np.pi * spread)
+        wide = spread + JUMP**2
+        wrong = square / wide + 2 * np.log(2 * np.pi * wide) + JUMP_COST
+        if p.size:
+            change = ((np.log(boxes[columns, 2:]) - tracks.log_sizes[rows]) ** 2).sum(axis=1)
+            narrow, broad = self.size_noise**2, self.size_noise**2 + WRONG_SIZE**2
+            cost += change / narrow + 2 * np.log(narrow / ANY_SIZE**2)
+            wrong += change / broad + 2 * np.log(broad / ANY_SIZE**2)
+        cost = np.minimum(cost, wrong) + np.minimum(tracks.missed[rows] - 1, 10) * 0.5
+        if p.appearance:
+            likeness = (tracks.looks[rows] * descriptors[columns]).sum(axis=1)
+            cost += p.appearance * (1 - likeness)
+        most = MISS_COST - 2 * float(np.log(self.false_density / FEWEST_FALSE))
+        good = cost < most
+        choose = assign_sparse if p.jointly else take_in_turn
+        chosen, taken = choose(rows[good], columns[good], cost[good], most)
+        pairs, wanted = rows * len(boxes) + columns, chosen * len(boxes) + taken
+        order = np.argsort(pairs)
+        at = order[np.searchsorted(pairs, wanted, sorter=order)]
+        return chosen, taken, most - cost[at]
+
+    def _spread(self) -> Floats:
+        """Variance (N,) px² of a detection about its prediction."""
+        d = self.tracks.diameters
+        spread = self.tracks.state.covariance[:, 0] + (self.noise * d) ** 2
+        return np.asarray(np.maximum(spread, (LEAST_SPREAD * d) ** 2))
+
+    def _correct(self, rows: Rows, boxes: Floats, descriptors: Floats) -> None:
+        """Take in the detections of some tracks."""
+        tracks = self.tracks
+        diameters = tracks.diameters[rows]
+        innovation = (boxes[:, :2] - tracks.state.position[rows]) / diameters[:, None]
+        if self.parameters.learn_noise:
+            self._learn(rows, innovation, np.log(boxes[:, 2:]) - tracks.log_sizes[rows])
+        jumped = (innovation**2).sum(axis=1) > JUMP_FROM * self._spread()[rows] / diameters**2
+        noise = np.where(jumped, JUMP, self.noise) * diameters
+        corrected = motion.update(tracks.state[rows], boxes[:, :2], noise)
+        for name, values in vars(corrected).items():
+            getattr(tracks.state, name)[rows] = values
+        tracks.innovation[rows] = innovation
+        tracks.hits[rows] += 1
+        tracks.missed[rows] = 0
+        tracks.seen[rows] = boxes[:, :2]
+        gain = np.maximum(SIZE_GAIN, 1 / tracks.hits[rows])[:, None]
+        tracks.log_sizes[rows] += gain * (np.log(boxes[:, 2:]) - tracks.log_sizes[rows])
+        area = np.log(boxes[:, 2] * boxes[:, 3])
+        slow = np.maximum(AREA_GAIN, 1 / tracks.hits[rows])
+        tracks.log_area[rows] += slow * (area - tracks.log_area[rows])
+        if self.parameters.appearance:
+            looks = (1 - gain) * tracks.looks[rows] + gain * descriptors
+            tracks.looks[rows] = looks / np.linalg.norm(looks, axis=1, keepdims=True)
+
+    def _learn(self, rows: Rows, innovation: Floats, change: Floats) -> None:
+        """Fit the noise of detections and of motion to what was seen.
+
+        Innovations (N, 2) should be as large as the filter expects, and of a good filter they are
+        white (Mehra 1970): those that agree with the ones before tell of motion, those that
+        alternate of noise in the detections.
+        """
+        tracks = self.tracks
+        steady = (tracks.hits[rows] >= 4) & (tracks.missed[rows] == 1)
+        if steady.sum() < 3:
+            return
+        chosen, now = rows[steady], innovation[steady]
+        d = tracks.diameters[chosen]
+        expected = tracks.state.covariance[chosen, 0] / d**2 + self.noise**2
+        size = np.median((now**2).sum(axis=1) / expected) / (2 * np.log(2))
+        before = tracks.innovation[chosen]
+        power = np.minimum((now**2).sum(axis=1), 1).mean()
+        memory = np.clip((now * before).sum(axis=1), -1, 1).mean() / max(power, 1e-12)
+        self._lessons += 1
+        weight = max(LEARNING, 1 / (1 + self._lessons)) * min(1.0, len(chosen) / 10)
+        grow = weight * np.clip(np.log(max(size, 1e-6)), -2, 2) / 2
+        turn = weight * np.clip(memory, -1, 1) / 2
+        self.noise *= float(np.exp(grow - turn))
+        self.acceleration *= float(np.exp(grow + turn))
+        change_size = np.median((change[steady] ** 2).sum(axis=1)) / (2 * np.log(2))
+        ratio = np.log(max(change_size, 1e-6) / self.size_noise**2) / 2
+        self.size_noise *= float(np.exp(weight * np.clip(ratio, -1, 1)))
+        self.size_noise = float(np.clip(self.size_noise, *SIZE_NOISE_RANGE))
+        self.noise = float(np.clip(self.noise, *NOISE_RANGE))
+        self.acceleration = float(np.clip(self.acceleration, *ACCELERATION_RANGE))
+
+    def _start(self, boxes: Floats, descriptors: Floats, taken: Rows, seconds: Rows) -> Rows:
+        """Start a track for each detection without one; returns their identities.
+
+        `seconds` (M,): the tracks on whose droplets the boxes lie.
+        """
+        p = self.parameters
+        free = np.delete(np.arange(len(boxes)), taken)
+        born = new_tracks(boxes[free], descriptors[free], self._next_id)
+        d = born.diameters
+        born.state.covariance[:, 0] = (self.noise * d) ** 2
+        born.state.covariance[:, 2] = (p.unknown_step * d) ** 2
+        born.second_of[:] = seconds[free]
+        self._next_id += len(free)
+        if len(free):
+            self.tracks = self.tracks.and_these(born)
+        return born.ids
+
+    def _second_boxes(self, boxes: Floats, rows: Rows, columns: Rows) -> Rows:
+        """The droplet (M,) on which each box lies that was given to no track, 0 where none.
+
+        Either it covers the place where a droplet was expected, or it lies beside the box that a
+        droplet was given and both are together no larger than it was: half a droplet.
+        """
+        tracks = self.tracks
+        found = np.zeros(len(boxes), np.int64)
+        free = np.delete(np.arange(len(boxes)), columns)
+        sure = np.flatnonzero(tracks.confirmed & (tracks.missed <= self.parameters.short_gap + 1))
+        if not len(sure) or not len(free) or not self.parameters.second_boxes:
+            return found
+        k = min(4, len(sure))
+        _, near = flow.nearest(cKDTree(tracks.state.position[sure]), boxes[free, :2], k)
+        near = sure[near]  # (F, k)
+        box, place = boxes[free][:, None], tracks.state.position[near]
+        size = np.exp(tracks.log_sizes[near])
+        low = np.maximum(place - size / 2, box[..., :2] - box[..., 2:] / 2)
+        high = np.minimum(place + size / 2, box[..., :2] + box[..., 2:] / 2)
+        overlap = np.prod(np.maximum(high - low, 0), axis=2)
+        area, area_before = box[..., 2:].prod(axis=2), np.exp(tracks.log_area[near])
+        covers = overlap > HALF_COVERED * np.minimum(size.prod(axis=2), area)
+        given = np.full((len(tracks.ids), 4), np.inf)
+        given[rows] = boxes[columns]
+        other = given[near]
+        beside = np.hypot(*np.moveaxis(other[..., :2] - box[..., :2], 2, 0)) < np.sqrt(area_before)
+        half = beside & (other[..., 2:].prod(axis=2) + area < TWO_HALVES * area_before)
+        lies = covers | half
+        owner = tracks.ids[near[np.arange(len(free)), lies.argmax(axis=1)]]
+        found[free] = np.where(lies.any(axis=1), owner, 0)
+        return found
+
+    def _ripe(self) -> NDArray[np.bool_]:
+        """New tracks (N,) that have been seen often enough, in this frame too."""
+        t = self.tracks
+        often = (t.hits >= self.parameters.n_init) & (t.hits >= LEAST_RATE * t.frames)
+        often &= t.evidence >= ENOUGH_EVIDENCE
+        return np.asarray(~t.confirmed & (t.missed == 0) & often)
+
+    def _join(self) -> tuple[tuple[int, int], ...]:
+        """Give new tracks the identities of the lost ones that they continue."""
+        if not self.parameters.both_ways:
+            return ()
+        tracks = self.tracks
+        lost = np.flatnonzero(tracks.confirmed & (tracks.missed > 0))
+        second = np.flatnonzero(~tracks.confirmed & (tracks.missed == 0) & (tracks.second_of > 0))
+        pairs: list[tuple[int, int]] = []
+        for new in second:  # the other box of a droplet that had two is the one that is left
+            match = lost[tracks.ids[lost] == tracks.second_of[new]]
+            if len(match) and match[0] not in (old for _, old in pairs):
+                pairs.append((int(new), int(match[0])))
+        taken_new, taken_old = [n for n, _ in pairs], [o for _, o in pairs]
+        ripe = np.setdiff1d(np.flatnonzero(self._ripe() & (tracks.second_of == 0)), taken_new)
+        lost = np.setdiff1d(lost, taken_old)
+        pairs += self._meet(ripe, lost)
+        if not pairs:
+            return ()
+        joined = tuple((int(tracks.ids[n]), int(tracks.ids[o])) for n, o in pairs)
+        rows = np.array(pairs)
+        tracks.ids[rows[:, 0]] = tracks.ids[rows[:, 1]]
+        tracks.confirmed[rows[:, 0]] = True
+        tracks.second_of[rows[:, 0]] = 0
+        tracks.hits[rows[:, 0]] += tracks.hits[rows[:, 1]]
+        self.tracks = tracks[np.delete(np.arange(len(tracks.ids)), rows[:, 1])]
+        return joined
+
+    def _meet(self, young: Rows, lost: Rows) -> list[tuple[int, int]]:
+        """Pairs of new and lost tracks that meet, seen from both ends of the gap.
+
+        With constant acceleration, a droplet goes its gap at the mean of the velocities at both
+        ends; white acceleration leaves a variance of gap³ / 12, a fourth of that seen from one.
+        """
+        if not len(young) or not len(lost):
+            return []
+        tracks, p = self.tracks, self.parameters
+        k = min(CANDIDATES, len(lost))
+        places = tracks.state.position
+        _, near = flow.nearest(cKDTree(places[lost]), places[young], k)
+        new, old = np.repeat(young, k), lost[near.ravel()]
+        gap = tracks.missed[old] - tracks.frames[new] + 1
+        new, old, gap = new[gap > 0], old[gap > 0], gap[gap > 0]
+        velocity = (tracks.state.velocity[new] + tracks.state.velocity[old]) / 2
+        off = tracks.first[new] - tracks.seen[old] - gap[:, None] * velocity
+        d = tracks.diameters[old]
+        ends = (tracks.state.covariance[new, 2] + tracks.state.covariance[old, 2]) / d**2
+        spread = self.acceleration**2 * gap**3 / 12 + ends * gap**2 / 4 + 2 * self.noise**2
+        spread = np.maximum(spread, LEAST_SPREAD**2)
+        square = (off**2).sum(axis=1) / d**2 / spread
+        cost = square + 2 * np.log(2 * np.pi * spread)
+        if p.size:
+            change = (tracks.log_sizes[new] - tracks.log_sizes[old]) / self.size_noise
+            cost += (change**2).sum(axis=1) + 4 * np.log(self.size_noise / ANY_SIZE)
+        good = (square < JOIN_GATE) & (cost < MISS_COST)
+        rows, columns = assign_sparse(new[good], old[good], cost[good], MISS_COST)
+        return list(zip(rows.tolist(), columns.tolist(), strict=True))
+
+    def _confirm(self) -> tuple[int, ...]:
+        """New tracks that are droplets from now on."""
+        tracks = self.tracks
+        alone = ~np.isin(tracks.second_of, tracks.ids) | (tracks.frames >= SECOND_BOX_FRAMES)
+        rows = np.flatnonzero(self._ripe() & alone)
+        tracks.confirmed[rows] = True
+        return tuple(tracks.ids[rows].tolist())
+
+    def _drop_lost(self) -> tuple[int, ...]:
+        """A new track ends with its second miss in a row, a droplet after more than max_age."""
+        tracks = self.tracks
+        lost = tracks.missed > np.where(tracks.confirmed, self.parameters.max_age, 1)
+        lost |= ~tracks.confirmed & (tracks.frames > SECOND_BOX_FRAMES + 1)
+        if self.parameters.learn_noise and tracks.confirmed.any():
+            seen = tracks.seen[tracks.confirmed]
+            area = np.ptp(seen, axis=0).prod() / np.median(tracks.diameters) ** 2
+            density = np.count_nonzero(lost & ~tracks.confirmed) / max(float(area), 1.0)
+            self._lessons_of_false += 1
+            weight = max(LEARNING, 1 / (1 + self._lessons_of_false))
+            self.false_density += weight * (max(density, FEWEST_FALSE) - self.false_density)
+        self.tracks = tracks[~lost]
+        return tuple(tracks.ids[lost].tolist())

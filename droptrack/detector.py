@@ -33,7 +33,8 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     anchor, row, column = np.nonzero(raw[:, 4] > logit)
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
     probability = expit(chosen)
-    centre = (probability[:, :2] + np.column_stack([column, row])) / [columns, rows]
+    in_cell = head.scale_x_y * (probability[:, :2] - 0.5) + 0.5
+    centre = (in_cell + np.column_stack([column, row])) / [columns, rows]
     network_size = np.array([columns, rows]) * head.stride
     size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / network_size
     return np.column_stack([centre, size, probability[:, 4:]]).astype(np.float32)

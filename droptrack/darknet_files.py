@@ -344,12 +344,17 @@ def _misfit(cfg: Cfg, present: int, wanted: int) -> str:
     )
 
 
+def weights_bytes(weights: Weights) -> bytes:
+    """The content of a ``.weights`` file of version 0.2 or later."""
+    header = struct.pack("<3iQ", *WEIGHTS_VERSION, weights.seen)
+    return header + weights.values.astype("<f4").tobytes()
+
+
 def write_weights(path: Path, weights: Weights) -> None:
     """Write a ``.weights`` file, whole or not at all (a temporary file is renamed)."""
-    header = struct.pack("<3iQ", *weights.version, weights.seen)
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_bytes(header + weights.values.astype("<f4").tobytes())
+        partial.write_bytes(weights_bytes(weights))
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)

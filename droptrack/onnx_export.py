@@ -1,6 +1,6 @@
 """Cfg and Weights -> ONNX, with batch normalisation folded into the convolutions."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,7 @@ def onnx_model(
     pixels: bool = False,
     grey: bool = False,
     ranges: Mapping[int, Range] | None = None,
+    taps: Sequence[int] = (),
 ) -> onnx.ModelProto:
     """The network as an ONNX model for any batch B of pictures of the cfg's size.
 
@@ -72,8 +73,9 @@ def onnx_model(
     [cx, cy, w, h] relative to the picture, objectness and class probabilities.
 
     `ranges`: the least and largest value of layers' outputs by index; with them, these layers and
-    all kernels are quantised to 8 bits (QuantizeLinear, DequantizeLinear). Raises DroptrackError
-    for layers that are not supported, with their line.
+    all kernels are quantised to 8 bits (QuantizeLinear, DequantizeLinear). `taps`: layers whose
+    outputs are put out too, as `layer_0` and so on. Raises DroptrackError for layers that are not
+    supported, with their line.
     """
     graph = _Graph()
     kernels = folded_convolutions(cfg, weights)
@@ -103,6 +105,9 @@ def onnx_model(
         ["batch", channels, cfg.height, cfg.width],
     )
     outputs = _outputs(graph, cfg, list(heads.values()), maps, decode=decode)
+    for index in taps:
+        name = graph.node("Identity", names[index], name=f"layer_{index}")
+        outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, None))
     return helper.make_model(
         helper.make_graph(graph.nodes, cfg.path.stem, [image], outputs, graph.constants),
         producer_name="droptrack",

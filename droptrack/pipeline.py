@@ -1,38 +1,49 @@
-"""Video -> detections -> tracks -> centres of mass -> trajectories, frame by frame."""
+"""Video -> detections -> tracks -> centres of mass -> trajectories, frame by frame.
+
+Stages overlap: while one frame is tracked, networks run on the next ones, those after them are
+decoded, and those before are drawn and written. Order is kept, and what waits is bounded.
+"""
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
+from time import perf_counter
 
 import numpy as np
 
 from droptrack.appearance import describe
 from droptrack.centroid import centres_of_mass
 from droptrack.deepsort import Parameters, Tracker
+from droptrack.detections import Detections
 from droptrack.detector import Detector
-from droptrack.drawing import Annotator
 from droptrack.recorder import Recorder
 from droptrack.report import Report, Value
+from droptrack.stage_times import StageTimes
+from droptrack.threads import AnnotatedVideo, FrameReader, NumberedFrame
 from droptrack.trajectories import Trajectories, TrajectoryWriter
-from droptrack.video import Frame, VideoWriter
+from droptrack.video import Frame
 
 
 @dataclass
 class Results:
-    """The files that tracking writes, filled frame by frame."""
+    """The files that tracking writes, filled frame by frame, and what is counted meanwhile."""
 
     rows: TrajectoryWriter
-    video: VideoWriter | None
+    video: AnnotatedVideo | None
+    times: StageTimes
     n_frames: int = 0
+    n_dropped: int = 0  # frames of a live source that came while others were at work
     n_measured: int = 0  # detections whose centre of mass could be measured
     n_detections: int = 0
+    slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
-    _annotator: Annotator = field(default_factory=Annotator)
 
     def take(self, rows: Trajectories) -> None:
         """Write final rows."""
-        self.rows.write(rows, (rows.boxes[:, 0], rows.boxes[:, 1]))
+        with self.times.measure("write"):
+            self.rows.write(rows, (rows.boxes[:, 0], rows.boxes[:, 1]))
 
     def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
         """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
@@ -40,53 +51,108 @@ class Results:
             return
         self._late.append((index, frame))
         if len(self._late) > delay:
-            self._draw_next(recorder)
+            self._show_next(recorder)
 
     def show_rest(self, recorder: Recorder) -> None:
         """Write the annotated frames that are left."""
         while self._late:
-            self._draw_next(recorder)
+            self._show_next(recorder)
 
-    def _draw_next(self, recorder: Recorder) -> None:
+    def _show_next(self, recorder: Recorder) -> None:
         assert self.video is not None
         index, frame = self._late.popleft()
-        self.video.write(self._annotator.draw(index, frame, recorder.rows_of(index)))
+        self.video.write(index, frame, list(recorder.rows_of(index)))
+
+
+class Follower:
+    """Tracks the detections of one frame after the other into `results`."""
+
+    def __init__(self, parameters: Parameters, results: Results) -> None:
+        self._tracker, self._recorder = Tracker(parameters), Recorder(parameters.max_age)
+        self._parameters, self._results = parameters, results
+
+    def add(self, item: NumberedFrame, detections: Detections) -> None:
+        """Take the next frame's detections."""
+        results, delay = self._results, self._parameters.n_init - 1
+        index, frame, decoded = item
+        with results.times.measure("track"):
+            descriptors = describe(frame, detections.boxes)
+            update = self._tracker.update(detections.boxes, descriptors)
+            centres, measured = centres_of_mass(frame, detections.boxes)
+            self._recorder.add(index, centres, detections.boxes, detections.scores, update)
+        results.n_frames += 1
+        results.n_detections += len(detections)
+        results.n_measured += int(measured.sum())
+        results.slowest = max(results.slowest, perf_counter() - decoded)
+        results.show(index, frame, self._recorder, delay)
+        results.take(self._recorder.take_final(index - delay))
+
+    def finish(self) -> None:
+        """Write what was held back."""
+        self._results.show_rest(self._recorder)
+        too_short = self._results.n_frames < self._parameters.n_init  # for any to be confirmed
+        self._results.take(self._recorder.take_rest(unconfirmed=too_short))
 
 
 def follow(
-    frames: Iterable[Frame],
+    frames: Iterable[tuple[int, Frame]],
     detector: Detector,
     parameters: Parameters,
-    batch: int,
     results: Results,
+    *,
+    batch: int = 1,
+    live: bool = False,
 ) -> Iterator[int]:
-    """Detect and track frame by frame into `results`; yields the number of frames done."""
-    tracker, recorder = Tracker(parameters), Recorder(parameters.max_age)
-    delay = parameters.n_init - 1
-    source = iter(frames)
+    """Detect and track numbered frames into `results`; yields the number of frames done.
+
+    `live`: no frame waits for others. When one is done, the newest goes next, and those that came
+    in between are dropped, so that a frame is never older than two take. Otherwise every frame is
+    tracked, `batch` at once through the network.
+    """
+    follower = Follower(parameters, results)
+    running: deque[tuple[list[NumberedFrame], Future[list[Detections]]]] = deque()
+    most = 0 if live else detector.engine.parallel
+    pool = ThreadPoolExecutor(detector.engine.parallel, thread_name_prefix="network")
+
+    def finish_oldest() -> int:
+        items, future = running[0]
+        found = future.result()
+        running.popleft()
+        for item, detections in zip(items, found, strict=True):
+            follower.add(item, detections)
+        return results.n_frames
+
     try:
-        while pictures := list(islice(source, batch)):
-            for frame, detections in zip(pictures, detector.detect(pictures), strict=True):
-                index = results.n_frames
-                update = tracker.update(detections.boxes, describe(frame, detections.boxes))
-                centres, measured = centres_of_mass(frame, detections.boxes)
-                recorder.add(index, centres, detections.boxes, detections.scores, update)
-                results.n_frames += 1
-                results.n_detections += len(detections)
-                results.n_measured += int(measured.sum())
-                results.show(index, frame, recorder, delay)
-                results.take(recorder.take_final(index - delay))
-            yield results.n_frames
+        with FrameReader(frames, results.times, newest=live) as reader:
+            source = iter(reader)
+            while items := list(islice(source, 1 if live else batch)):
+                pictures = [item.frame for item in items]
+                running.append((items, pool.submit(detector.detect, pictures, results.times)))
+                results.n_dropped = reader.n_dropped
+                if len(running) > most:
+                    yield finish_oldest()
+            while running:
+                yield finish_oldest()
+    except BaseException:
+        while running and running[0][1].exception() is None:
+            finish_oldest()
+        raise
     finally:
-        results.show_rest(recorder)
-        too_short = results.n_frames < parameters.n_init  # for any track to be confirmed
-        results.take(recorder.take_rest(unconfirmed=too_short))
+        pool.shutdown(cancel_futures=True)
+        follower.finish()
 
 
 def summarise(
-    rows: Trajectories, settings: dict[str, Value], results: Results, seconds: float
+    rows: Trajectories,
+    settings: dict[str, Value],
+    results: Results,
+    n_missing: int,
+    seconds: float,
 ) -> Report:
-    """One row a droplet: when and how far it went."""
+    """One row a droplet: when and how far it went.
+
+    `n_missing` frames could not be decoded; `seconds` are those of the whole.
+    """
     droplets: list[dict[str, Value]] = []
     for track_id in np.unique(rows.track_id):
         mine = rows.track_id == track_id
@@ -110,7 +176,11 @@ def summarise(
         "n_droplets": len(droplets),
         "n_detections": results.n_detections,
         "n_centres_of_mass_measured": results.n_measured,
+        "n_frames_missing": n_missing,
+        "n_frames_dropped": results.n_dropped,
+        "slowest_frame_s": results.slowest,
         "seconds": seconds,
         "frames_per_second": results.n_frames / seconds,
+        **results.times.milliseconds_a_frame(results.n_frames),
     }
     return Report("Droplets", settings, summary, droplets)

@@ -10,17 +10,19 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.scenes import SCENES
-from droptrack import DroptrackError
+from droptrack import DroptrackError, pipeline
 from droptrack.__main__ import app
+from droptrack.centroid import centres_of_mass
 from droptrack.darknet_files import read_cfg
 from droptrack.detections import labels
-from droptrack.engines.opencv_dnn import OpenCvDetector
+from droptrack.detector import Detector
+from droptrack.engine_choice import Network, choose_detector
 from droptrack.evaluate import evaluate
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg
 from droptrack.report import Report
 from droptrack.trajectories import read_trajectories
-from droptrack.video import Video
+from droptrack.video import Frame, Video
 
 runner = CliRunner()
 
@@ -86,9 +88,9 @@ def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
     assert average_precision(pairs).average_precision >= floor
 
 
-def shipped(threshold: float) -> OpenCvDetector:
+def shipped(threshold: float) -> Detector:
     cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    return OpenCvDetector(cfg, SHIPPED_WEIGHTS, "auto", threshold, 0.45)
+    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45))
 
 
 def test_a_batch_of_frames_gives_what_single_frames_give(sine: Path) -> None:
@@ -192,15 +194,15 @@ def test_what_was_tracked_before_a_problem_is_kept(sine: Path, tmp_path: Path) -
 def test_ctrl_c_keeps_what_was_tracked(
     sine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    detect, calls = OpenCvDetector.detect, []
+    centres, calls = centres_of_mass, []
 
-    def interrupted(self: OpenCvDetector, frames: list[np.ndarray]) -> list[object]:
+    def interrupted(frame: Frame, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         calls.append(1)
         if len(calls) > 5:
             raise KeyboardInterrupt
-        return detect(self, frames)  # type: ignore[return-value]
+        return centres(frame, boxes)
 
-    monkeypatch.setattr(OpenCvDetector, "detect", interrupted)
+    monkeypatch.setattr(pipeline, "centres_of_mass", interrupted)
     message = fails("track", str(sine / "video.avi"), "--out", str(tmp_path))
     assert "interrupted after 5 frames" in message
     rows, _ = read_trajectories(tmp_path / "trajectories.csv")

@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from itertools import islice
 from time import perf_counter
 
-import numpy as np
-
 from droptrack.appearance import describe
 from droptrack.centroid import centres_of_mass
 from droptrack.deepsort import Parameters, Tracker
 from droptrack.detections import Detections
 from droptrack.detector import Detector
+from droptrack.paths import Paths
 from droptrack.recorder import Recorder
 from droptrack.report import Report, Value
 from droptrack.stage_times import StageTimes
@@ -38,12 +37,14 @@ class Results:
     n_measured: int = 0  # detections whose centre of mass could be measured
     n_detections: int = 0
     slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
+    paths: Paths = field(default_factory=Paths)
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
 
     def take(self, rows: Trajectories) -> None:
-        """Write final rows."""
+        """Write final rows, and add them to the paths."""
         with self.times.measure("write"):
             self.rows.write(rows, (rows.boxes[:, 0], rows.boxes[:, 1]))
+            self.paths.add(rows)
 
     def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
         """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
@@ -143,34 +144,13 @@ def follow(
 
 
 def summarise(
-    rows: Trajectories,
-    settings: dict[str, Value],
-    results: Results,
-    n_missing: int,
-    seconds: float,
+    results: Results, settings: dict[str, Value], n_missing: int, seconds: float
 ) -> Report:
     """One row a droplet: when and how far it went.
 
     `n_missing` frames could not be decoded; `seconds` are those of the whole.
     """
-    droplets: list[dict[str, Value]] = []
-    for track_id in np.unique(rows.track_id):
-        mine = rows.track_id == track_id
-        x, y, frame = rows.x[mine], rows.y[mine], rows.frame[mine]
-        path = float(np.hypot(np.diff(x), np.diff(y)).sum())
-        n = int(frame[-1] - frame[0])
-        droplets.append(
-            {
-                "track_id": int(track_id),
-                "first_frame": int(frame[0]),
-                "last_frame": int(frame[-1]),
-                "n_observed": int(rows.observed[mine].sum()),
-                "n_bridged": int((~rows.observed[mine]).sum()),
-                "diameter_px": float(np.sqrt(rows.boxes[mine, 2] * rows.boxes[mine, 3]).mean()),
-                "path_px": path,
-                "speed_px_per_frame": path / n if n else float("nan"),
-            }
-        )
+    droplets = results.paths.table()
     summary: dict[str, Value] = {
         "n_frames": results.n_frames,
         "n_droplets": len(droplets),

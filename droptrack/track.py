@@ -19,7 +19,7 @@ from droptrack.quantisation import sha256_of
 from droptrack.report import Value
 from droptrack.stage_times import StageTimes
 from droptrack.threads import AnnotatedVideo
-from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter, read_trajectories
+from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.video import Video, VideoInfo, VideoWriter
 
 app = new_app()
@@ -161,11 +161,10 @@ def finish(
     """Write the plot and the report, and print the table."""
     from droptrack.plots import plot_paths
 
-    rows, _ = read_trajectories(out / "trajectories.csv")
-    report = summarise(rows, settings, results, n_missing, seconds)
+    report = summarise(results, settings, n_missing, seconds)
     report.write_json(out / "report.json")
     report.print()
-    plot_paths(out / "paths.png", rows, info.width, info.height)
+    plot_paths(out / "paths.png", results.paths.lines(), info.width, info.height)
 
 
 if __name__ == "__main__":

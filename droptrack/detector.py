@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from droptrack import DroptrackError
 from droptrack.darknet_files import YoloHead
 from droptrack.detections import Detections, suppress_doubles
 from droptrack.stage_times import StageTimes
@@ -46,18 +48,31 @@ class Detector:
         self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
 
     def detect(self, frames: Sequence[Frame], times: StageTimes | None = None) -> list[Detections]:
-        """The detections of each of some frames (H, W, 3) of one size, in one pass."""
+        """The detections of each of some frames (H, W, 3) of one size, in one pass.
+
+        Raises DroptrackError when the engine fails, as for want of memory.
+        """
         times = times or StageTimes()
         height, width = frames[0].shape[:2]
-        with times.measure("preprocess"):
-            prepared = self.engine.prepare(frames)
-        with times.measure("network"):
-            outputs = self.engine.run(prepared)
+        try:
+            with times.measure("preprocess"):
+                prepared = self.engine.prepare(frames)
+            with times.measure("network"):
+                outputs = self.engine.run(prepared)
+        except (RuntimeError, cv2.error) as error:
+            raise DroptrackError(
+                f"{self.engine.name}: the network failed: {first_line(error)}"
+            ) from error
         with times.measure("decode_boxes"):
             return [
                 select(rows, width, height, self.threshold, self.max_iou)
                 for rows in self.engine.rows(outputs)
             ]
+
+
+def first_line(error: Exception) -> str:
+    """What an engine has to say in one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def decode_heads(

@@ -12,7 +12,7 @@ import numpy as np
 
 from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, Weights, read_weights
-from droptrack.detector import Detector, Engine
+from droptrack.detector import Detector, Engine, first_line
 from droptrack.engines import opencv_dnn
 from droptrack.quantisation import find_calibration
 
@@ -134,8 +134,8 @@ def _engine(
         cure = f"pip install 'droptrack[{extra}]'" if extra else f"it lacks {error.name}"
         raise DroptrackError(f"--backend {backend}: is not installed; {cure}") from None
     except (RuntimeError, cv2.error, OSError) as error:
-        lines = str(error).strip().splitlines() or [type(error).__name__]
-        raise DroptrackError(f"--backend {backend}: does not work here: {lines[0]}") from error
+        reason = first_line(error)
+        raise DroptrackError(f"--backend {backend}: does not work here: {reason}") from error
     return engine
 
 

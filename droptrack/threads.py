@@ -110,13 +110,11 @@ class AnnotatedVideo:
         self._thread.start()
 
     def write(self, index: int, frame: Frame, rows: list[Row]) -> None:
-        """Append a frame with its rows; raises what went wrong in the thread."""
-        if self._problem is not None:
-            raise self._problem
+        """Append a frame with its rows; what goes wrong is raised by `close`."""
         self._queue.put((index, frame, rows))
 
     def close(self) -> None:
-        """Finish the file; raises DroptrackError if it does not hold every frame written."""
+        """Finish the file; raises what went wrong, or DroptrackError if it lacks frames."""
         self._queue.put(None)
         self._thread.join()
         self._writer.close()
@@ -131,5 +129,5 @@ class AnnotatedVideo:
             try:
                 with self._times.measure("write"):
                     self._writer.write(annotator.draw(*item))
-            except Exception as problem:  # noqa: BLE001  raised by `write` or `close`
+            except Exception as problem:  # noqa: BLE001  raised by `close`
                 self._problem = problem

@@ -135,7 +135,7 @@ def main(
                 writer.close()
         except DroptrackError as error:
             problem = problem or error
-    n_missing = 0 if live else max(0, total - results.n_frames)
+    n_missing = 0 if live or problem else max(0, total - results.n_frames)
     finish(out, info, settings, results, n_missing, time.perf_counter() - began)
     if problem is not None:
         raise DroptrackError(f"{problem}; what was tracked until there is in {out}")

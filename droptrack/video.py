@@ -60,8 +60,7 @@ class Video:
             self._frames = _read_capture(capture)
             claimed = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
             fps = float(capture.get(cv2.CAP_PROP_FPS))
-        self.n_undecoded = 0  # images of a folder that were skipped
-        self._first = next(self._decoded(), None)
+        self._first = next(self._frames, None)
         if self._first is None:
             raise DroptrackError(f"{source}: has no frame that can be decoded; is it cut off?")
         height, width = self._first[1].shape[:2]
@@ -82,7 +81,7 @@ class Video:
             raise ValueError("frames can be read once")
         first, self._first = self._first, None
         yield first
-        for index, frame in self._decoded():
+        for index, frame in self._frames:
             if frame.shape != first[1].shape:
                 raise DroptrackError(
                     f"{self.source}: frame {index} is {frame.shape[1]} x {frame.shape[0]} px, "
@@ -90,13 +89,6 @@ class Video:
                     "there"
                 )
             yield index, frame
-
-    def _decoded(self) -> Iterator[tuple[int, Frame]]:
-        for index, frame in self._frames:
-            if frame is None:
-                self.n_undecoded += 1
-            else:
-                yield index, frame
 
 
 class VideoWriter:
@@ -197,7 +189,7 @@ def _count_frames(path: Path) -> int:
     return n_frames
 
 
-def _read_capture(capture: cv2.VideoCapture) -> Iterator[tuple[int, Frame | None]]:
+def _read_capture(capture: cv2.VideoCapture) -> Iterator[tuple[int, Frame]]:
     """FFmpeg skips what it cannot decode, and says so only on stderr."""
     maybe_grey = True  # until the first frame with colour
     try:
@@ -227,7 +219,8 @@ def _image_files(folder: Path) -> list[Path]:
     return sorted(files, key=order)
 
 
-def _read_images(folder: Path) -> Iterator[tuple[int, Frame | None]]:
+def _read_images(folder: Path) -> Iterator[tuple[int, Frame]]:
     for index, path in enumerate(_image_files(folder)):
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        yield index, None if image is None else as_frame(image)
+        if image is not None:
+            yield index, as_frame(image)

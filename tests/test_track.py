@@ -17,6 +17,7 @@ from droptrack.darknet_files import read_cfg
 from droptrack.detections import labels
 from droptrack.detector import Detector
 from droptrack.engine_choice import Network, choose_detector
+from droptrack.engines.opencv_dnn import has_cuda
 from droptrack.evaluate import evaluate
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg
@@ -163,7 +164,12 @@ def test_what_the_user_can_mend_is_said_in_one_line(sine: Path, tmp_path: Path) 
     full = str(SHIPPED / "yolov3.cfg")
     assert "does not fit" in fails("track", video, "--cfg", full, "--out", out)
     assert "no such video" in fails("track", str(tmp_path / "none.avi"), "--out", out)
-    assert "CUDA" in fails("track", video, "--backend", "opencv-cuda", "--out", out)
+    if not has_cuda():
+        assert "CUDA" in fails("track", video, "--backend", "opencv-cuda", "--out", out)
+    assert "nearest is 96" in fails("track", video, "--size", "100x64", "--out", out)
+    assert "such as 960x480" in fails("track", video, "--size", "big", "--out", out)
+    int8 = ("--backend", "opencv", "--precision", "int8")
+    assert "opencv computes in fp32" in fails("track", video, *int8, "--out", out)
     (tmp_path / "file").touch()
     assert "file" in fails("track", video, "--out", str(tmp_path / "file" / "out"))
     assert "no such file" in fails("evaluate", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"))
@@ -207,6 +213,29 @@ def test_ctrl_c_keeps_what_was_tracked(
     assert "interrupted after 5 frames" in message
     rows, _ = read_trajectories(tmp_path / "trajectories.csv")
     assert np.unique(rows.frame).tolist() == list(range(5))
+
+
+def test_what_runs_and_how_long_each_stage_takes_is_reported(sine: Path, tmp_path: Path) -> None:
+    options = ("--backend", "opencv", "--size", "480x256", "--max-frames", "8")
+    track(sine / "video.avi", tmp_path, *options)
+    written = json.loads((tmp_path / "report.json").read_text())
+    assert written["settings"]["backend"] == "opencv fp32"
+    assert written["settings"]["network_size"] == [480, 256]
+    assert written["summary"]["n_frames"] == 8
+    for stage in ("decode", "preprocess", "network", "decode_boxes", "track", "write"):
+        assert 0 < written["summary"][f"{stage}_ms"] < 60_000
+
+
+def test_frames_that_cannot_be_decoded_are_counted_and_said(sine: Path, tmp_path: Path) -> None:
+    data = (sine / "video.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+    out = tmp_path / "out"
+    output = track(tmp_path / "cut.avi", out, "--backend", "opencv", "--size", "480x256")
+    summary = json.loads((out / "report.json").read_text())["summary"]
+    assert 10 < summary["n_frames"] < 30
+    assert summary["n_frames_missing"] == 40 - summary["n_frames"]
+    said = f"{summary['n_frames_missing']} of the 40 frames it claims could not be decoded"
+    assert said in output
 
 
 def test_a_full_disk_is_said_in_one_line(sine: Path, tmp_path: Path) -> None:

@@ -30,16 +30,25 @@ from data_gen.make_dataset import JPEG_QUALITY
 from data_gen.scenes import SCENES
 from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.darknet_files import Cfg, cfg_text, read_cfg, resized, write_weights
+from droptrack.darknet_files import (
+    Cfg,
+    cfg_text,
+    read_cfg,
+    read_weights,
+    resized,
+    write_weights,
+)
 from droptrack.deepsort import Parameters
 from droptrack.detections import Detections, labels
-from droptrack.detector import Detector
+from droptrack.detector import Detector, Engine
 from droptrack.engine_choice import Backend, Network, Precision, choose_detector
+from droptrack.engines.opencv_dnn import OpenCvEngine
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg, parse_size
 from droptrack.pipeline import Results, follow
 from droptrack.quantisation import (
     Calibration,
+    find_calibration,
     joined,
     quantised_layers,
     sha256_of,
@@ -47,7 +56,7 @@ from droptrack.quantisation import (
 )
 from droptrack.stage_times import STAGES, StageTimes
 from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter
-from droptrack.video import Frame, Video, VideoInfo, VideoWriter
+from droptrack.video import Frame, Video, VideoInfo, VideoWriter, grey_frame
 
 SIZE = (1200, 600)
 DROPLETS = 50
@@ -200,6 +209,9 @@ def random_full(folder: Path) -> tuple[Cfg, Path]:
 @app.command()
 @one_line_errors
 def speed(
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="The tiny network's input; default the cfg's.")
+    ] = None,
     frames: Annotated[int, typer.Option(min=1, help="Of the video, for the tiny network.")] = 300,
     full_frames: Annotated[int, typer.Option(min=0, help="For the full network; 0: none.")] = 40,
     turns: Annotated[int, typer.Option(min=1)] = 3,
@@ -210,6 +222,8 @@ def speed(
         video = folder / "video.avi"
         write_video(video, frames)
         cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+        if size is not None:
+            cfg = resized(cfg, *parse_size(size))
         cases = cases_of("tiny", cfg, SHIPPED_WEIGHTS, frames)
         measure(cases, video, turns, folder)
         if full_frames:
@@ -222,6 +236,65 @@ def cfg_416(cfg: Cfg, folder: Path) -> Cfg:
     path = folder / f"{cfg.path.stem}-416.cfg"
     path.write_text(cfg_text(resized(cfg, 416, 416)))
     return read_cfg(path)
+
+
+@app.command()
+@one_line_errors
+def network(
+    sizes: Annotated[str, typer.Option(help="Inputs, with commas.")] = "832x416,896x448,960x480",
+    repeat: Annotated[int, typer.Option(min=1)] = 9,
+) -> None:
+    """Processor time of the networks alone, ms of all cores a grey picture, and their ratios.
+
+    In turns, the plain loop's network first. int8 has the ranges of the shipped size at all sizes.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        shipped = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+        small = cfg_416(shipped, Path(name))
+        engines = {
+            "416x416 opencv fp32, plain loop": engine_of(small, SHIPPED_WEIGHTS, "fp32", None)
+        }
+        calibration = find_calibration(SHIPPED_WEIGHTS, shipped)
+        if calibration is None:
+            raise DroptrackError(f"{SHIPPED_WEIGHTS}: is not calibrated: make calibrate")
+        for size in sizes.split(","):
+            cfg = resized(shipped, *parse_size(size))
+            for precision in ("fp32", "bf16", "int8"):
+                engines[f"{size} openvino {precision}"] = engine_of(
+                    cfg, SHIPPED_WEIGHTS, precision, calibration
+                )
+        full, weights = random_full(Path(name))
+        ranges = find_calibration(weights, full)
+        for precision in ("fp32", "bf16", "int8"):
+            engines[f"full {full.width}x{full.height} openvino {precision}"] = engine_of(
+                full, weights, precision, ranges
+            )
+        times: dict[str, list[float]] = {key: [] for key in engines}
+        frame = grey_frame(SCENES["c"](np.random.default_rng(0)).image)
+        for turn in range(repeat + 1):
+            for key, engine in engines.items():
+                prepared = engine.prepare([frame])
+                start = time.process_time()
+                engine.run(prepared)
+                if turn:  # the first is slower
+                    times[key].append(1e3 * (time.process_time() - start))
+        table = Table("network", "ms, all cores", "ratio")
+        base = statistics.median(next(iter(times.values())))
+        for key, own in times.items():
+            median = statistics.median(own)
+            table.add_row(key, f"{median:.1f}", f"{base / median:.2f}")
+        console.print(table)
+
+
+def engine_of(cfg: Cfg, weights: Path, precision: str, calibration: Calibration | None) -> Engine:
+    """OpenCV without a calibration, OpenVINO with one."""
+    values = read_weights(weights, cfg)
+    if calibration is None:
+        return OpenCvEngine(cfg, values, "opencv", precision, SCORE)
+    from droptrack.engines.openvino import OpenVinoEngine
+
+    ranges = calibration.ranges if precision == "int8" else None
+    return OpenVinoEngine(cfg, values, precision, SCORE, ranges, streams=2)
 
 
 @app.command()
@@ -300,7 +373,7 @@ def follow_again(video: Path, frames: int) -> None:
 def main(context: typer.Context) -> None:
     """Without a command: speed."""
     if context.invoked_subcommand is None:
-        speed(300, 40, 3)
+        speed()
 
 
 if __name__ == "__main__":

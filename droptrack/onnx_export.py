@@ -90,7 +90,7 @@ def onnx_model(
     for index, layer in enumerate(cfg.layers):
         if layer.kind == "convolutional":
             x = _convolution(graph, layer, x, *kernels[index], quantised=ranges is not None)
-            x = _activation(graph, layer, x)
+            x = _activation(graph, layer, x, default="logistic")
         elif layer.kind == "yolo":
             maps.append(_decoded(graph, heads[index], x, cfg) if decode else x)
         else:
@@ -186,8 +186,8 @@ def _convolution(
     )
 
 
-def _activation(graph: _Graph, layer: Layer, x: str) -> str:
-    activation = layer.text("activation", "logistic")
+def _activation(graph: _Graph, layer: Layer, x: str, default: str) -> str:
+    activation = layer.text("activation", default)
     if activation == "leaky":
         return graph.node("LeakyRelu", x, alpha=0.1)
     if activation == "mish":
@@ -232,7 +232,7 @@ def _plain_layer(
         )
     if layer.kind == "shortcut":
         (source,) = route_sources(layer, index, key="from")
-        return _activation(graph, layer, graph.node("Add", x, names[source]))
+        return _activation(graph, layer, graph.node("Add", x, names[source]), default="linear")
     if layer.kind == "route":
         groups, group = layer.integer("groups", 1), layer.integer("group_id", 0)
         parts = []

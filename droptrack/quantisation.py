@@ -43,14 +43,15 @@ def sha256_of(path: Path) -> str:
 
 
 def quantised_layers(cfg: Cfg) -> list[int]:
-    """Layers whose outputs are to be quantised: those that compute, but for the heads' last."""
+    """Layers whose outputs are to be quantised: those that compute.
+
+    But for the maps of the heads, and what is added to a shortcut: its sum is.
+    """
+    kinds = [layer.kind for layer in cfg.layers]
     return [
         index
-        for index, layer in enumerate(cfg.layers)
-        if layer.kind == "shortcut"
-        or (
-            layer.kind == "convolutional" and cfg.layers[index + 1].kind not in ("yolo", "shortcut")
-        )
+        for index, (kind, following) in enumerate(zip(kinds, [*kinds[1:], ""], strict=True))
+        if kind == "shortcut" or (kind == "convolutional" and following not in ("yolo", "shortcut"))
     ]
 
 
@@ -64,7 +65,8 @@ def joined(cfg: Cfg, ranges: dict[int, Range]) -> dict[int, Range]:
         if layer.kind == "route":
             members: set[int] = set()
             for source in route_sources(layer, index):
-                members |= set().union(*(group[origin] for origin in _origins(cfg, source)))
+                origins = _origins(cfg, source) & group.keys()
+                members |= set().union(*(group[origin] for origin in origins))
             for member in members:
                 group[member] = members
     return {
@@ -74,7 +76,7 @@ def joined(cfg: Cfg, ranges: dict[int, Range]) -> dict[int, Range]:
 
 
 def _origins(cfg: Cfg, index: int) -> set[int]:
-    """The quantised layers whose values a layer hands on."""
+    """The layers that compute the values which a layer hands on."""
     layer = cfg.layers[index]
     if layer.kind == "route":
         return set().union(*(_origins(cfg, source) for source in route_sources(layer, index)))

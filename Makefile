@@ -15,8 +15,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
-# everything for development, PyTorch and OpenVINO included; the exact PyTorch first, so that extras do not
-# choose another build
+# everything for development, PyTorch and OpenVINO included; the exact PyTorch first, so that extras
+# do not choose another build
 dev: $(VENV)/.dev
 
 $(VENV)/.dev: $(VENV)/.installed

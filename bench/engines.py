@@ -100,11 +100,13 @@ def plain_loop(video: Path, cfg: Cfg, weights: Path, n_frames: int) -> int:
     return n
 
 
-def track(frames: Iterator[tuple[int, Frame]], detector: Detector, out: Path) -> Results:
+def track(
+    frames: Iterator[tuple[int, Frame]], detector: Detector, out: Path, batch: int = 1
+) -> Results:
     """Follow the droplets of frames."""
     with TrajectoryWriter(out, {}, BOX_CENTRE) as rows:
         results = Results(rows, None, StageTimes())
-        for _ in follow(frames, detector, Parameters(), results):
+        for _ in follow(frames, detector, Parameters(), results, batch=batch):
             pass
     return results
 
@@ -120,7 +122,7 @@ class Case:
     detector: Detector | None
 
 
-def measure(cases: list[Case], video: Path, turns: int, folder: Path) -> None:
+def measure(cases: list[Case], video: Path, turns: int, folder: Path, batch: int) -> None:
     """Run the cases and the plain loop in turn; print medians and ratios to the plain loop."""
     first = cases[0]
     small = cfg_416(first.cfg, folder)
@@ -136,7 +138,7 @@ def measure(cases: list[Case], video: Path, turns: int, folder: Path) -> None:
                 n = plain_loop(video, case.cfg, case.weights, case.n_frames)
             else:
                 source = islice(Video(str(video)).numbered(), case.n_frames)
-                results = track(source, case.detector, folder / "t.csv")
+                results = track(source, case.detector, folder / "t.csv", batch)
                 n = results.n_frames
                 stages[case.name].append(results.times.milliseconds_a_frame(n))
             rates[case.name].append(n / (time.perf_counter() - start))
@@ -215,6 +217,7 @@ def speed(
     frames: Annotated[int, typer.Option(min=1, help="Of the video, for the tiny network.")] = 300,
     full_frames: Annotated[int, typer.Option(min=0, help="For the full network; 0: none.")] = 40,
     turns: Annotated[int, typer.Option(min=1)] = 3,
+    batch: Annotated[int, typer.Option(min=1, help="Frames a network takes at once.")] = 1,
 ) -> None:
     """Frames a second end to end, against the plain loop."""
     with tempfile.TemporaryDirectory() as name:
@@ -225,10 +228,10 @@ def speed(
         if size is not None:
             cfg = resized(cfg, *parse_size(size))
         cases = cases_of("tiny", cfg, SHIPPED_WEIGHTS, frames)
-        measure(cases, video, turns, folder)
+        measure(cases, video, turns, folder, batch)
         if full_frames:
             cases = cases_of("full", *random_full(folder), full_frames)
-            measure(cases, video, turns, folder)
+            measure(cases, video, turns, folder, batch)
 
 
 def cfg_416(cfg: Cfg, folder: Path) -> Cfg:

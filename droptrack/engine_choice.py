@@ -15,6 +15,7 @@ from droptrack.darknet_files import Cfg, Weights, read_weights
 from droptrack.detector import Detector, Engine, first_line
 from droptrack.engines import opencv_dnn
 from droptrack.quantisation import find_calibration
+from droptrack.video import grey_frame
 
 
 class Backend(StrEnum):
@@ -126,7 +127,7 @@ def _engine(
         raise DroptrackError(f"--precision {precision}: {backend} computes in {has}")
     try:
         engine = _make(network, weights, backend, precision, live=live)
-        black = np.zeros((network.cfg.height, network.cfg.width, 3), np.uint8)
+        black = grey_frame(np.zeros((network.cfg.height, network.cfg.width), np.uint8))
         engine.rows(engine.run(engine.prepare([black])))
     except ImportError as error:
         package = (error.name or "").partition(".")[0]

@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 SEED ?= 0
 
-.PHONY: setup dev demo dataset train-tiny train train-droplets bench check test
+.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
 
 setup: $(VENV)/.installed
 
@@ -15,13 +15,13 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
 	touch $@
 
-# everything for development, PyTorch included; the exact PyTorch first, so that extras do not
-# choose another build; TrackEval without its dependencies, which would install a second OpenCV
+# everything for development, PyTorch and OpenVINO included; the exact PyTorch first, so that extras
+# do not choose another build; TrackEval without its dependencies, which would install a second OpenCV
 dev: $(VENV)/.dev
 
 $(VENV)/.dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,simulate,dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,openvino,simulate,dev]'
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt trackeval
 	touch $@
 
@@ -51,8 +51,16 @@ train-droplets: dev
 		--data datasets/all/obj.data --out runs/droplets --optimizer adamw \
 		--learning-rate 0.001 --window 416x224 --sizes 0.56,1.04 --batch 16 --iterations 9000
 
+# what int8 needs, again after every training
+calibrate: dev
+	$(BIN)/python -m data_gen.make_dataset --scene all --images 200 --valid 600 --seed 7 \
+		--out datasets/calibration
+	$(BIN)/python -m droptrack.calibrate --data datasets/calibration/obj.data \
+		--images 200 --checked 600
+
 bench: dev
 	$(BIN)/python -m bench
+	$(BIN)/python -m bench.engines
 	$(BIN)/python -m bench.simulations
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt deep-sort-realtime
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers

@@ -22,7 +22,8 @@ from droptrack.command_line import new_app, progress_bar
 from droptrack.darknet_files import read_cfg
 from droptrack.deepsort import Parameters, Tracker
 from droptrack.detections import Detections, labels
-from droptrack.engines.opencv_dnn import OpenCvDetector
+from droptrack.detector import Detector
+from droptrack.engine_choice import Backend, Network, choose_detector
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg
 from droptrack.video import Frame
@@ -42,10 +43,10 @@ def milliseconds(action: Callable[[], object], repeat: int) -> float:
     return statistics.median(times)
 
 
-def shipped(threshold: float) -> OpenCvDetector:
-    """The network that ships."""
+def shipped(threshold: float) -> Detector:
+    """The network that ships, in OpenCV."""
     cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    return OpenCvDetector(cfg, SHIPPED_WEIGHTS, "opencv", threshold, 0.45)
+    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45), Backend.opencv)
 
 
 def colour(image: np.ndarray) -> Frame:
@@ -100,7 +101,7 @@ def stages(repeat: int = 15) -> None:
 
 
 def pairs(
-    detector: OpenCvDetector, scene: str, images: int, seed: int
+    detector: Detector, scene: str, images: int, seed: int
 ) -> Iterator[tuple[Detections, Detections]]:
     """What is found on fresh pictures of a scene, through JPEG as in a data set, and the truth."""
     for index in range(images):

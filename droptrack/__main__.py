@@ -1,12 +1,14 @@
-"""All commands in one: ``droptrack track``, ``train``, ``evaluate``."""
+"""All commands in one: ``droptrack track``, ``train``, ``evaluate`` and so on."""
 
-from droptrack import evaluate, track, train
+from droptrack import calibrate, evaluate, export, track, train
 from droptrack.command_line import new_app
 
 app = new_app()
 app.command("track")(track.main)
 app.command("train")(train.main)
 app.command("evaluate")(evaluate.main)
+app.command("calibrate")(calibrate.main)
+app.command("export")(export.main)
 
 if __name__ == "__main__":
     app()

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from droptrack.video import grey_plane
+
 Floats = NDArray[np.float64]
 
 GRID = 8  # cells a side
@@ -51,11 +53,15 @@ def _sample(
 ) -> Floats:
     """Grey levels at (N, k, k) places; OpenCV's remap takes up to 32767 rows at once."""
     n, k = map_x.shape[:2]
+    plane = grey_plane(frame)
+    source = frame if plane is None else plane
     parts = []
     for start in range(0, n, 32767 // k):
         rows = slice(start, start + 32767 // k)
         at_x, at_y = map_x[rows].reshape(-1, k), map_y[rows].reshape(-1, k)
-        parts.append(cv2.remap(frame, at_x, at_y, cv2.INTER_LINEAR).reshape(-1, k, k, 3))
+        parts.append(
+            cv2.remap(source, at_x, at_y, cv2.INTER_LINEAR).reshape(len(at_x) // k, k, k, -1)
+        )
     return np.asarray(np.concatenate(parts).mean(axis=3), np.float64)
 
 

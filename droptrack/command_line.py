@@ -10,10 +10,13 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    ProgressColumn,
+    Task,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
 from droptrack import DroptrackError
 
@@ -46,6 +49,13 @@ def new_app() -> typer.Typer:
     return typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
+class _Note(ProgressColumn):
+    """What a task has to say, if anything."""
+
+    def render(self, task: Task) -> Text:
+        return Text(task.fields.get("note", ""))
+
+
 def progress_bar(unit: str) -> Progress:
     """A progress bar on stderr with counts, rate and time left; silent when it is no terminal."""
     console = Console(stderr=True)
@@ -54,7 +64,7 @@ def progress_bar(unit: str) -> Progress:
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn(unit),
-        TextColumn("{task.fields[note]}"),
+        _Note(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,

@@ -107,6 +107,7 @@ class YoloHead:
     mask: tuple[int, ...]
     classes: int
     stride: int
+    scale_x_y: float  # how far beyond its cell a box's centre may lie (YOLOv4)
 
 
 @dataclass(frozen=True)
@@ -176,6 +177,11 @@ def with_options(cfg: Cfg, net: Mapping[str, str], yolo: Mapping[str, str]) -> C
     changed = Cfg(cfg.path, Layer("net", {**cfg.net.options, **net}, cfg.net.line), layers)
     _check(changed)
     return changed
+
+
+def resized(cfg: Cfg, width: int, height: int) -> Cfg:
+    """A copy of the cfg with another input size, px; raises DroptrackError as `parse_cfg` does."""
+    return with_options(cfg, {"width": str(width), "height": str(height)}, {})
 
 
 def _check(cfg: Cfg) -> None:
@@ -284,9 +290,12 @@ def yolo_heads(cfg: Cfg) -> list[YoloHead]:
         mask = tuple(int(n) for n in layer.numbers("mask", tuple(range(len(anchors)))))
         if any(not 0 <= n < len(anchors) for n in mask):
             raise DroptrackError(f"line {layer.line}: mask= names an anchor that is not there")
+        if layer.integer("new_coords", 0):
+            raise DroptrackError(f"line {layer.line}: [yolo] new_coords=1 is not supported")
         stride = shapes[index][1]
         classes = layer.integer("classes", 20)
-        heads.append(YoloHead(index, anchors[list(mask)], anchors, mask, classes, stride))
+        scale = layer.number("scale_x_y", 1)
+        heads.append(YoloHead(index, anchors[list(mask)], anchors, mask, classes, stride, scale))
     return heads
 
 
@@ -335,12 +344,17 @@ def _misfit(cfg: Cfg, present: int, wanted: int) -> str:
     )
 
 
+def weights_bytes(weights: Weights) -> bytes:
+    """The content of a ``.weights`` file of version 0.2 or later."""
+    header = struct.pack("<3iQ", *WEIGHTS_VERSION, weights.seen)
+    return header + weights.values.astype("<f4").tobytes()
+
+
 def write_weights(path: Path, weights: Weights) -> None:
     """Write a ``.weights`` file, whole or not at all (a temporary file is renamed)."""
-    header = struct.pack("<3iQ", *weights.version, weights.seen)
     partial = path.with_name(path.name + ".partial")
     try:
-        partial.write_bytes(header + weights.values.astype("<f4").tobytes())
+        partial.write_bytes(weights_bytes(weights))
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)

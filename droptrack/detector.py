@@ -1,25 +1,92 @@
-"""What a detector does, and how raw outputs of YOLO heads become detections."""
+"""Frames -> detections: what an engine does, and what all engines share."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from droptrack import DroptrackError
 from droptrack.darknet_files import YoloHead
 from droptrack.detections import Detections, suppress_doubles
+from droptrack.stage_times import StageTimes
+from droptrack.video import Frame
 
 Float32s = NDArray[np.float32]
 
 
-class Detector(Protocol):
-    """Finds droplets in frames; each engine is one."""
+class Engine(Protocol):
+    """Runs a network; each file in `engines` has one or two.
+
+    `name` says what runs it and how precisely; `parallel` is the number of threads that may call it
+    at once.
+    """
 
     name: str
+    parallel: int
 
-    def detect(self, frames: Sequence[NDArray[np.uint8]]) -> list[Detections]:
-        """The detections of each of some frames (H, W, 3) of one size."""
+    def prepare(self, frames: Sequence[Frame]) -> Any:
+        """Frames (H, W, 3) of one size -> the network's input."""
+
+    def run(self, prepared: Any) -> Any:
+        """The network's outputs."""
+
+    def rows(self, outputs: Any) -> list[Float32s]:
+        """Of each frame, the decoded rows (N, 5 + C) that may be droplets, see `decode_head`."""
+
+
+class Detector:
+    """Finds droplets in frames with an engine.
+
+    `threshold`: least score of a detection; `max_iou`: overlap from which two detections are one
+    droplet.
+    """
+
+    def __init__(self, engine: Engine, threshold: float, max_iou: float) -> None:
+        self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
+
+    def detect(self, frames: Sequence[Frame], times: StageTimes | None = None) -> list[Detections]:
+        """The detections of each of some frames (H, W, 3) of one size, in one pass.
+
+        Raises DroptrackError when the engine fails, as for want of memory.
+        """
+        times = times or StageTimes()
+        height, width = frames[0].shape[:2]
+        try:
+            with times.measure("preprocess"):
+                prepared = self.engine.prepare(frames)
+            with times.measure("network"):
+                outputs = self.engine.run(prepared)
+        except (RuntimeError, cv2.error) as error:
+            raise DroptrackError(
+                f"{self.engine.name}: the network failed: {first_line(error)}"
+            ) from error
+        with times.measure("decode_boxes"):
+            return [
+                select(rows, width, height, self.threshold, self.max_iou)
+                for rows in self.engine.rows(outputs)
+            ]
+
+
+def first_line(error: Exception) -> str:
+    """What an engine has to say in one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
+def decode_heads(
+    maps: Sequence[Float32s], heads: Sequence[YoloHead], threshold: float
+) -> list[Float32s]:
+    """Of each picture, the rows (N, 5 + C) of all heads from their maps (B, A * (5 + C), h, w)."""
+    found = []
+    for picture in range(len(maps[0])):
+        parts = []
+        for raw, head in zip(maps, heads, strict=True):
+            shape = (len(head.mask), 5 + head.classes, *raw.shape[2:])
+            parts.append(decode_head(raw[picture].reshape(shape), head, threshold))
+        found.append(np.concatenate(parts))
+    return found
 
 
 def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
@@ -29,11 +96,13 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     [cx, cy, w, h] relative to the picture, objectness, class probabilities (YOLOv3, section 2.1).
     """
     rows, columns = raw.shape[2:]
-    logit = np.log(threshold / (1 - threshold))
+    with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is at infinity
+        logit = np.log(threshold) - np.log1p(-threshold)
     anchor, row, column = np.nonzero(raw[:, 4] > logit)
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
     probability = expit(chosen)
-    centre = (probability[:, :2] + np.column_stack([column, row])) / [columns, rows]
+    in_cell = head.scale_x_y * (probability[:, :2] - 0.5) + 0.5
+    centre = (in_cell + np.column_stack([column, row])) / [columns, rows]
     network_size = np.array([columns, rows]) * head.stride
     size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / network_size
     return np.column_stack([centre, size, probability[:, 4:]]).astype(np.float32)

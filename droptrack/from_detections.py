@@ -87,8 +87,8 @@ def track_detections(
     }
     began = time.perf_counter()
     with TrajectoryWriter(out / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
-        results = Results(rows, None)
+        results = Results(rows)
         for _ in follow_detections(frames, looks, tracker, results):
             pass
-    finish(out, (width, height), {**about, **settings}, results, time.perf_counter() - began)
+    finish(out, (width, height), {**about, **settings}, results, 0, time.perf_counter() - began)
     typer.echo(f"results in {out}")

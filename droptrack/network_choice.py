@@ -12,6 +12,14 @@ SHIPPED_WEIGHTS = SHIPPED / "yolov3-tiny-droplets.weights"
 SUFFIX = re.compile(r"_(final|last|best|\d+)$")
 
 
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height of ``960x480``; raises DroptrackError for another text."""
+    match = re.fullmatch(r"(\d+)x(\d+)", text)
+    if match is None:
+        raise DroptrackError(f"--size {text}: should be width x height in px, such as 960x480")
+    return int(match[1]), int(match[2])
+
+
 def find_cfg(weights: Path) -> Path:
     """The ``.cfg`` of weights by their stem, less what Darknet adds (``yolov3_final``).
 

@@ -1,24 +1,33 @@
-"""Video -> detections -> tracks -> centres of mass -> trajectories, frame by frame."""
+"""Video -> detections -> tracks -> centres of mass -> trajectories, frame by frame.
+
+Stages overlap: while one frame is tracked, networks run on the next ones, those after them are
+decoded, and those before are drawn and written. Order is kept, and what waits is bounded.
+"""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.centroid import centres_of_mass
+from droptrack.detections import Detections
 from droptrack.detector import Detector
-from droptrack.drawing import Annotator
+from droptrack.paths import Paths
 from droptrack.recorder import Recorded, Recorder
 from droptrack.report import Report, Value
 from droptrack.smoothing import COLUMNS as SMOOTHED
 from droptrack.smoothing import Smoother
+from droptrack.stage_times import StageTimes
+from droptrack.threads import AnnotatedVideo, FrameReader, NumberedFrame
 from droptrack.tracks import Tracker
-from droptrack.trajectories import BOX_CENTRE, Trajectories, TrajectoryWriter, read_trajectories
-from droptrack.video import Frame, VideoWriter
+from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter
+from droptrack.video import Frame
 
 FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
 # a frame and boxes (N, 4) -> unit descriptors (N, D)
@@ -27,32 +36,38 @@ Describe = Callable[[Frame, NDArray[np.float64]], NDArray[np.float64]]
 
 @dataclass
 class Results:
-    """The files that tracking writes, filled frame by frame."""
+    """The files that tracking writes, filled frame by frame, and what is counted meanwhile."""
 
     rows: TrajectoryWriter
-    video: VideoWriter | None
+    video: AnnotatedVideo | None = None
+    times: StageTimes = field(default_factory=StageTimes)
     n_frames: int = 0
+    n_dropped: int = 0  # frames of a live source that came while others were at work
     n_measured: int = 0  # detections whose centre of mass could be measured
     n_detections: int = 0
+    slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
+    paths: Paths = field(default_factory=Paths)
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
-    _annotator: Annotator = field(default_factory=Annotator)
     _smoother: Smoother = field(default_factory=Smoother)
 
     def take(self, recorded: Recorded) -> None:
         """Write final rows, once they are smoothed."""
-        for done, smoothed in self._smoother.add(recorded):
-            self._write(done, smoothed)
+        with self.times.measure("write"):
+            for done, smoothed in self._smoother.add(recorded):
+                self._write(done, smoothed)
 
     def take_rest(self, recorded: Recorded) -> None:
         """Write all that is left."""
         self.take(recorded)
-        for done, smoothed in self._smoother.rest():
-            self._write(done, smoothed)
+        with self.times.measure("write"):
+            for done, smoothed in self._smoother.rest():
+                self._write(done, smoothed)
 
     def _write(self, recorded: Recorded, smoothed: NDArray[np.float64]) -> None:
         rows = recorded.rows
         extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured.astype(float), *smoothed.T)
         self.rows.write(rows, extra)
+        self.paths.add(rows)
 
     def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
         """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
@@ -60,90 +75,132 @@ class Results:
             return
         self._late.append((index, frame))
         if len(self._late) > delay:
-            self._draw_next(recorder)
+            self._show_next(recorder)
 
     def show_rest(self, recorder: Recorder) -> None:
         """Write the annotated frames that are left."""
         while self._late:
-            self._draw_next(recorder)
+            self._show_next(recorder)
 
-    def _draw_next(self, recorder: Recorder) -> None:
+    def _show_next(self, recorder: Recorder) -> None:
         assert self.video is not None
         index, frame = self._late.popleft()
-        self.video.write(self._annotator.draw(index, frame, recorder.rows_of(index)))
+        self.video.write(index, frame, list(recorder.rows_of(index)))
+
+
+class Follower:
+    """Tracks the detections of one frame after the other into `results`."""
+
+    def __init__(self, tracker: Tracker, describe: Describe, results: Results) -> None:
+        self._tracker, self._describe, self._results = tracker, describe, results
+        self._recorder = Recorder(tracker.max_age)
+
+    def add(self, item: NumberedFrame, detections: Detections) -> None:
+        """Take the next frame's detections."""
+        results, tracker = self._results, self._tracker
+        index, frame, decoded = item
+        with results.times.measure("track"):
+            update = tracker.update(detections.boxes, self._describe(frame, detections.boxes))
+            centres, measured = centres_of_mass(frame, detections.boxes)
+            self._recorder.add(index, detections, centres, measured, update)
+        results.n_frames += 1
+        results.n_detections += len(detections)
+        results.n_measured += int(measured.sum())
+        results.slowest = max(results.slowest, perf_counter() - decoded)
+        results.show(index, frame, self._recorder, tracker.delay)
+        results.take(self._recorder.take_final(index - tracker.delay))
+
+    def finish(self) -> None:
+        """Write what was held back."""
+        self._results.show_rest(self._recorder)
+        too_short = self._results.n_frames < self._tracker.n_init  # for any to be confirmed
+        self._results.take_rest(self._recorder.take_rest(unconfirmed=too_short))
 
 
 def follow(
-    frames: Iterable[Frame],
+    frames: Iterable[tuple[int, Frame]],
     detector: Detector,
     tracker: Tracker,
     describe: Describe,
-    batch: int,
     results: Results,
+    *,
+    batch: int = 1,
+    live: bool = False,
 ) -> Iterator[int]:
-    """Detect and track frame by frame into `results`; yields the number of frames done."""
-    recorder = Recorder(tracker.max_age)
-    source = iter(frames)
+    """Detect and track numbered frames into `results`; yields the number of frames done.
+
+    `live`: no frame waits for others. When one is done, the newest goes next, and those that came
+    in between are dropped, so that a frame is never older than two take. Otherwise every frame is
+    tracked, `batch` at once through the network.
+    """
+    follower = Follower(tracker, describe, results)
+    running: deque[tuple[list[NumberedFrame], Future[list[Detections]]]] = deque()
+    most = 0 if live else detector.engine.parallel
+    pool = ThreadPoolExecutor(detector.engine.parallel, thread_name_prefix="network")
+
+    def finish_oldest() -> int:
+        items, future = running[0]
+        found = future.result()
+        running.popleft()
+        for item, detections in zip(items, found, strict=True):
+            follower.add(item, detections)
+        return results.n_frames
+
     try:
-        while pictures := list(islice(source, batch)):
-            for frame, detections in zip(pictures, detector.detect(pictures), strict=True):
-                index = results.n_frames
-                update = tracker.update(detections.boxes, describe(frame, detections.boxes))
-                centres, measured = centres_of_mass(frame, detections.boxes)
-                recorder.add(index, detections, centres, measured, update)
-                results.n_frames += 1
-                results.n_detections += len(detections)
-                results.n_measured += int(measured.sum())
-                results.show(index, frame, recorder, tracker.delay)
-                results.take(recorder.take_final(index - tracker.delay))
-            yield results.n_frames
+        with FrameReader(frames, results.times, newest=live) as reader:
+            source = iter(reader)
+            while items := list(islice(source, 1 if live else batch)):
+                pictures = [item.frame for item in items]
+                running.append((items, pool.submit(detector.detect, pictures, results.times)))
+                results.n_dropped = reader.n_dropped
+                if len(running) > most:
+                    yield finish_oldest()
+            while running:
+                yield finish_oldest()
+    except BaseException:
+        while running and running[0][1].exception() is None:
+            finish_oldest()
+        raise
     finally:
-        results.show_rest(recorder)
-        too_short = results.n_frames < tracker.n_init  # for any track to be confirmed
-        results.take_rest(recorder.take_rest(unconfirmed=too_short))
+        pool.shutdown(cancel_futures=True)
+        follower.finish()
 
 
 def summarise(
-    rows: Trajectories, settings: dict[str, Value], results: Results, seconds: float
+    results: Results, settings: dict[str, Value], n_missing: int, seconds: float
 ) -> Report:
-    """One row a droplet: when and how far it went."""
-    droplets: list[dict[str, Value]] = []
-    for track_id in np.unique(rows.track_id):
-        mine = rows.track_id == track_id
-        x, y, frame = rows.x[mine], rows.y[mine], rows.frame[mine]
-        path = float(np.hypot(np.diff(x), np.diff(y)).sum())
-        n = int(frame[-1] - frame[0])
-        droplets.append(
-            {
-                "track_id": int(track_id),
-                "first_frame": int(frame[0]),
-                "last_frame": int(frame[-1]),
-                "n_observed": int(rows.observed[mine].sum()),
-                "n_bridged": int((~rows.observed[mine]).sum()),
-                "diameter_px": float(np.sqrt(rows.boxes[mine, 2] * rows.boxes[mine, 3]).mean()),
-                "path_px": path,
-                "speed_px_per_frame": path / n if n else float("nan"),
-            }
-        )
+    """One row a droplet: when and how far it went.
+
+    `n_missing` frames could not be decoded; `seconds` are those of the whole.
+    """
+    droplets = results.paths.table()
     summary: dict[str, Value] = {
         "n_frames": results.n_frames,
         "n_droplets": len(droplets),
         "n_detections": results.n_detections,
         "n_centres_of_mass_measured": results.n_measured,
+        "n_frames_missing": n_missing,
+        "n_frames_dropped": results.n_dropped,
+        "slowest_frame_s": results.slowest,
         "seconds": seconds,
         "frames_per_second": results.n_frames / seconds,
+        **results.times.milliseconds_a_frame(results.n_frames),
     }
     return Report("Droplets", settings, summary, droplets)
 
 
 def finish(
-    out: Path, size: tuple[int, int], settings: dict[str, Value], results: Results, seconds: float
+    out: Path,
+    size: tuple[int, int],
+    settings: dict[str, Value],
+    results: Results,
+    n_missing: int,
+    seconds: float,
 ) -> None:
     """Write the plot, of a picture of `size` px, and the report, and print the table."""
     from droptrack.plots import plot_paths
 
-    rows, _ = read_trajectories(out / "trajectories.csv")
-    report = summarise(rows, settings, results, seconds)
+    report = summarise(results, settings, n_missing, seconds)
     report.write_json(out / "report.json")
     report.print()
-    plot_paths(out / "paths.png", rows, *size)
+    plot_paths(out / "paths.png", results.paths.lines(), *size)

@@ -59,9 +59,9 @@ class DarknetNetwork(nn.Module):
         x = images
         for layer, module, sources in zip(self.cfg.layers, self.layers, self.sources, strict=True):
             if layer.kind == "route":
-                x = torch.cat([outputs[source] for source in sources], dim=1)
-                groups = layer.integer("groups", 1)
-                x = x.chunk(groups, dim=1)[layer.integer("group_id", 0)]
+                groups, group = layer.integer("groups", 1), layer.integer("group_id", 0)
+                parts = [outputs[source].chunk(groups, dim=1)[group] for source in sources]
+                x = torch.cat(parts, dim=1)
             elif layer.kind == "shortcut":
                 x = x + outputs[sources[0]]
             elif layer.kind == "yolo":

@@ -1,8 +1,6 @@
 """Command: follow the droplets in a video, ``python -m droptrack.track``."""
 
-import hashlib
 import time
-from enum import StrEnum
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
@@ -11,25 +9,19 @@ import typer
 
 from droptrack import DroptrackError, __version__
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.darknet_files import read_cfg
+from droptrack.darknet_files import read_cfg, resized
 from droptrack.deepsort import Parameters
-from droptrack.engines.opencv_dnn import OpenCvDetector
+from droptrack.engine_choice import Backend, Network, Precision, choose_detector
 from droptrack.from_detections import track_detections
-from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
 from droptrack.pipeline import FURTHER_COLUMNS, Results, finish, follow
+from droptrack.quantisation import sha256_of
 from droptrack.report import Value
+from droptrack.stage_times import StageTimes
+from droptrack.threads import AnnotatedVideo
 from droptrack.tracker_choice import TrackerName, choose_appearance, make_tracker
 from droptrack.trajectories import TrajectoryWriter
 from droptrack.video import Video, VideoWriter
-
-
-class Backend(StrEnum):
-    """What runs the network."""
-
-    auto = "auto"
-    opencv = "opencv"
-    opencv_cuda = "opencv-cuda"
-
 
 app = new_app()
 
@@ -56,7 +48,22 @@ def main(
         Path | None, typer.Option(help="Folder for the results; default tracks/<video's name>.")
     ] = None,
     no_video: Annotated[bool, typer.Option("--no-video", help="No annotated video.")] = False,
-    backend: Annotated[Backend, typer.Option(help="What runs the network.")] = Backend.auto,
+    backend: Annotated[
+        Backend, typer.Option(help="What runs the network; auto: the fastest that works here.")
+    ] = Backend.auto,
+    precision: Annotated[
+        Precision, typer.Option(help="auto: int8 where it is calibrated, else what is exact.")
+    ] = Precision.auto,
+    size: Annotated[
+        str | None, typer.Option(metavar="WxH", help="The network's input, px; default the cfg's.")
+    ] = None,
+    live: Annotated[
+        bool | None,
+        typer.Option(
+            "--live/--every-frame",
+            help="Always the newest frame, others dropped; default for cameras and streams.",
+        ),
+    ] = None,
     score: Annotated[float, typer.Option(min=0, max=1, help="Least score of a droplet.")] = 0.4,
     max_iou: Annotated[
         float, typer.Option(min=0, max=1, help="Overlap from which two boxes are one droplet.")
@@ -101,9 +108,18 @@ def main(
     weights = weights or SHIPPED_WEIGHTS
     describe = choose_appearance(appearance, appearance_weights, appearance_size)
     network = read_cfg(cfg or find_cfg(weights))
-    detector = OpenCvDetector(network, weights, backend.value, score, max_iou)
+    if size is not None:
+        network = resized(network, *parse_size(size))
     source = Video(video)
     info = source.info
+    live = source.live if live is None else live
+    detector = choose_detector(
+        Network(network, weights, score, max_iou),
+        backend,
+        precision,
+        live=live,
+        say=lambda text: typer.echo(text, err=True),
+    )
     out = out or Path("tracks") / (Path(video).stem or "camera")
     if Path(video).resolve() == (out / "tracked.mp4").resolve():
         raise DroptrackError(f"{video}: would be overwritten by the results; choose another --out")
@@ -112,12 +128,14 @@ def main(
         "made by": f"droptrack {__version__}, droptrack.track",
         "video": f"{video}, {info.width} x {info.height} px, {info.fps:g} frames/s",
         "network": f"{network.path}, {weights}",
-        "weights sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "weights sha256": sha256_of(weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
     }
     settings: dict[str, Value] = {
         **about,
-        "backend": detector.name,
+        "backend": detector.engine.name,
+        "network_size": [network.width, network.height],
+        "live": live,
         "score": score,
         "max_iou": max_iou,
         **tracker_settings,
@@ -125,15 +143,27 @@ def main(
     problem: DroptrackError | None = None
     began = time.perf_counter()
     with TrajectoryWriter(out / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
-        writer = None if no_video else VideoWriter(out / "tracked.mp4", info, "mp4v")
-        results = Results(rows, writer)
-        frames = islice(source, max_frames) if max_frames else source
+        times = StageTimes()
+        writer = (
+            None
+            if no_video
+            else AnnotatedVideo(VideoWriter(out / "tracked.mp4", info, "mp4v"), times)
+        )
+        results = Results(rows, writer, times)
+        frames = islice(source.numbered(), max_frames or None)
         total = min(info.n_frames or max_frames, max_frames or info.n_frames)
-        typer.echo(f"{video}: {network.path.stem} on {detector.name}", err=True)
+        typer.echo(
+            f"{video}: {network.path.stem}, {network.width} x {network.height} px, on "
+            f"{detector.engine.name}",
+            err=True,
+        )
         with progress_bar("frames") as progress:
             task = progress.add_task("tracking", total=total or None, note="")
             try:
-                for done in follow(frames, detector, follower, describe, batch, results):
+                following = follow(
+                    frames, detector, follower, describe, results, batch=batch, live=live
+                )
+                for done in following:
                     rate = done / (time.perf_counter() - began)
                     progress.update(task, completed=done, note=f"{rate:.1f} frames/s")
             except KeyboardInterrupt:
@@ -145,13 +175,20 @@ def main(
                 writer.close()
         except DroptrackError as error:
             problem = problem or error
-    finish(out, (info.width, info.height), settings, results, time.perf_counter() - began)
+    n_missing = 0 if live or problem else max(0, total - results.n_frames)
+    finish(
+        out, (info.width, info.height), settings, results, n_missing, time.perf_counter() - began
+    )
     if problem is not None:
         raise DroptrackError(f"{problem}; what was tracked until there is in {out}")
-    if 0 < results.n_frames < total:
+    if n_missing:
         typer.echo(
-            f"{video}: ends after {results.n_frames} of the {total} frames it claims", err=True
+            f"{video}: {n_missing} of the {total} frames it claims could not be decoded: it is "
+            "damaged, or ends early",
+            err=True,
         )
+    if results.n_dropped:
+        typer.echo(f"{video}: {results.n_dropped} frames dropped, newer ones were there", err=True)
     typer.echo(f"results in {out}")
 
 

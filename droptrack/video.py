@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ Frame = NDArray[np.uint8]
 
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"}
 DEFAULT_FPS = 25.0  # of sources that do not say
+STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
 
 @dataclass(frozen=True)
@@ -46,36 +48,47 @@ class Video:
         self.source = source
         path = Path(source)
         if path.is_dir():
+            self.live = False
             self._frames = _read_images(path)
             claimed, fps = len(_image_files(path)), DEFAULT_FPS
         else:
             if not path.exists() and not source.isdigit() and "://" not in source:
                 raise DroptrackError(f"{source}: no such video, image folder or camera")
-            capture = _open_capture(source, is_camera=source.isdigit() and not path.exists())
+            is_camera = source.isdigit() and not path.exists()
+            self.live = is_camera or source.startswith(STREAMS)
+            capture = _open_capture(source, is_camera=is_camera)
             self._frames = _read_capture(capture)
             claimed = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
             fps = float(capture.get(cv2.CAP_PROP_FPS))
-        first = next(self._frames, None)
-        if first is None:
+        self._first = next(self._frames, None)
+        if self._first is None:
             raise DroptrackError(f"{source}: has no frame that can be decoded; is it cut off?")
-        self._first: Frame | None = first
-        height, width = first.shape[:2]
+        height, width = self._first[1].shape[:2]
         sane = math.isfinite(fps) and 0 < fps <= 1e5
         self.info = VideoInfo(width, height, fps if sane else DEFAULT_FPS, claimed)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Every frame, once. Frames are of one size: raises DroptrackError where that changes."""
+        """Every frame, once."""
+        for _, frame in self.numbered():
+            yield frame
+
+    def numbered(self) -> Iterator[tuple[int, Frame]]:
+        """Every frame that can be decoded, once, with its number.
+
+        Frames are of one size: raises DroptrackError where that changes.
+        """
         if self._first is None:
             raise ValueError("frames can be read once")
         first, self._first = self._first, None
         yield first
-        for index, frame in enumerate(self._frames, start=1):
-            if frame.shape != first.shape:
+        for index, frame in self._frames:
+            if frame.shape != first[1].shape:
                 raise DroptrackError(
                     f"{self.source}: frame {index} is {frame.shape[1]} x {frame.shape[0]} px, "
-                    f"those before it {first.shape[1]} x {first.shape[0]}; split the video there"
+                    f"those before it {first[1].shape[1]} x {first[1].shape[0]}; split the video "
+                    "there"
                 )
-            yield frame
+            yield index, frame
 
 
 class VideoWriter:
@@ -126,6 +139,16 @@ class VideoWriter:
         self.close()
 
 
+def grey_frame(plane: NDArray[np.uint8]) -> Frame:
+    """A grey picture (H, W) as a frame (H, W, 3): a view, which takes no memory of its own."""
+    return np.broadcast_to(plane[..., None], (*plane.shape, 3))
+
+
+def grey_plane(frame: Frame) -> NDArray[np.uint8] | None:
+    """The picture (H, W) that a frame of `grey_frame` shows; None of other frames."""
+    return frame[..., 0] if frame.strides[2] == 0 else None
+
+
 def as_frame(image: NDArray[Any]) -> Frame:
     """Any decoded image as a frame: grey becomes BGR, alpha lies on black, 16 bits become 8."""
     if image.dtype == np.uint16:
@@ -138,7 +161,7 @@ def as_frame(image: NDArray[Any]) -> Frame:
     if image.ndim == 2:
         image = image[..., None]
     if image.shape[2] == 1:
-        return np.asarray(np.repeat(image, 3, axis=2), np.uint8)
+        return grey_frame(np.asarray(image[..., 0], np.uint8))
     if image.shape[2] == 2:  # grey with alpha
         return as_frame((image[..., 0] * (image[..., 1] / 255.0)).astype(np.uint8))
     if image.shape[2] == 4:
@@ -166,13 +189,20 @@ def _count_frames(path: Path) -> int:
     return n_frames
 
 
-def _read_capture(capture: cv2.VideoCapture) -> Iterator[Frame]:
+def _read_capture(capture: cv2.VideoCapture) -> Iterator[tuple[int, Frame]]:
+    """FFmpeg skips what it cannot decode, and says so only on stderr."""
+    maybe_grey = True  # until the first frame with colour
     try:
-        while True:
-            ok, frame = capture.read()
+        for index in count():
+            ok, image = capture.read()
             if not ok:
                 return
-            yield as_frame(frame)
+            frame = as_frame(image)
+            if maybe_grey:
+                blue, green, red = cv2.split(frame)
+                maybe_grey = np.array_equal(blue, green) and np.array_equal(green, red)
+                frame = grey_frame(np.asarray(green, np.uint8)) if maybe_grey else frame
+            yield index, frame
     finally:
         capture.release()
 
@@ -189,11 +219,8 @@ def _image_files(folder: Path) -> list[Path]:
     return sorted(files, key=order)
 
 
-def _read_images(folder: Path) -> Iterator[Frame]:
-    for path in _image_files(folder):
+def _read_images(folder: Path) -> Iterator[tuple[int, Frame]]:
+    for index, path in enumerate(_image_files(folder)):
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise DroptrackError(
-                f"{path}: cannot be decoded as an image; take it out of the folder"
-            )
-        yield as_frame(image)
+        if image is not None:
+            yield index, as_frame(image)

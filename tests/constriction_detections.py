@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from droptrack.centroid import centres_of_mass
 from droptrack.darknet_files import read_cfg
 from droptrack.detections import Detections
-from droptrack.engines.opencv_dnn import OpenCvDetector
+from droptrack.engine_choice import Backend, Network, choose_detector
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
 from droptrack.trajectories import Trajectories, read_trajectories, sorted_trajectories
 from droptrack.video import Video
@@ -33,7 +33,7 @@ def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
     Lengths are in STEP_PX.
     """
     network = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    detector = OpenCvDetector(network, SHIPPED_WEIGHTS, "opencv", 0.4, 0.3)
+    detector = choose_detector(Network(network, SHIPPED_WEIGHTS, 0.4, 0.3), Backend.opencv)
     found = []
     for number, frame in enumerate(Video(str(folder / "video.avi"))):
         boxes = detector.detect([frame])[0].boxes

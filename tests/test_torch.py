@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
+from bench.random_network import random_weights  # noqa: E402
 from data_gen.make_dataset import Recipe, make_dataset  # noqa: E402
 from droptrack import DroptrackError  # noqa: E402
 from droptrack.darknet_files import (  # noqa: E402
-    WEIGHTS_VERSION,
     Cfg,
-    Weights,
     cfg_text,
-    convolutions,
     parse_cfg,
     read_cfg,
     read_weights,
@@ -77,20 +75,6 @@ ignore_thresh=.5
 """
 
 
-def random_weights(cfg: Cfg, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Values whose layers roughly keep the size of their input, so that a slip shows."""
-    gain = 0.8 if any(layer.kind == "shortcut" for layer in cfg.layers) else 2.0
-    parts = []
-    for shape in convolutions(cfg):
-        n, fan_in = shape.outputs, shape.inputs * shape.size**2
-        parts.append(rng.normal(0, 0.1, n))  # biases
-        if shape.batch_normalize:
-            scales, means = rng.uniform(0.7, 1.3, n), rng.normal(0, 0.1, n)
-            parts += [scales, means, rng.uniform(0.5, 1.5, n)]
-        parts.append(rng.normal(0, np.sqrt(gain / fan_in), n * fan_in))
-    return np.concatenate(parts).astype(np.float32)
-
-
 @pytest.mark.parametrize(
     ("name", "size"),
     [("yolov3-tiny", (416, 416)), ("yolov3-tiny-droplets", (416, 224)), ("yolov3", (160, 96))],
@@ -100,9 +84,9 @@ def test_outputs_are_those_of_opencv(name: str, size: tuple[int, int], tmp_path:
     options = {"width": str(size[0]), "height": str(size[1])}
     cfg = with_options(read_cfg(CFG_FOLDER / f"{name}.cfg"), options, {"thresh": "0.000001"})
     rng = np.random.default_rng(1)
-    values = random_weights(cfg, rng)
+    weights = random_weights(cfg, rng)
     path = tmp_path / "random.weights"
-    write_weights(path, Weights(WEIGHTS_VERSION, 0, values))
+    write_weights(path, weights)
     theirs = cv2.dnn.readNetFromDarknet(
         np.frombuffer(cfg_text(cfg).encode(), np.uint8), np.frombuffer(path.read_bytes(), np.uint8)
     )
@@ -111,7 +95,7 @@ def test_outputs_are_those_of_opencv(name: str, size: tuple[int, int], tmp_path:
     outputs = theirs.forward(theirs.getUnconnectedOutLayersNames())
 
     network = DarknetNetwork(cfg)
-    load_values(network, values)
+    load_values(network, weights.values)
     network.eval()
     with torch.no_grad():
         maps = network(torch.from_numpy(picture))
@@ -127,7 +111,7 @@ def test_outputs_are_those_of_opencv(name: str, size: tuple[int, int], tmp_path:
 
 def test_weights_loaded_and_dumped_are_the_same_bytes(tmp_path: Path) -> None:
     cfg = read_cfg(CFG_FOLDER / "yolov3-tiny.cfg")
-    values = random_weights(cfg, np.random.default_rng(2))
+    values = random_weights(cfg, np.random.default_rng(2)).values
     network = DarknetNetwork(cfg)
     load_values(network, values)
     assert dump_values(network).tobytes() == values.tobytes()

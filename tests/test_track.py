@@ -10,17 +10,20 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.scenes import SCENES
-from droptrack import DroptrackError
+from droptrack import DroptrackError, pipeline
 from droptrack.__main__ import app
+from droptrack.centroid import centres_of_mass
 from droptrack.darknet_files import read_cfg
 from droptrack.detections import labels
-from droptrack.engines.opencv_dnn import OpenCvDetector
+from droptrack.detector import Detector
+from droptrack.engine_choice import Network, choose_detector
+from droptrack.engines.opencv_dnn import has_cuda
 from droptrack.evaluate import evaluate
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg
 from droptrack.report import Report
 from droptrack.trajectories import read_trajectories
-from droptrack.video import Video
+from droptrack.video import Frame, Video
 
 runner = CliRunner()
 
@@ -86,9 +89,9 @@ def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
     assert average_precision(pairs).average_precision >= floor
 
 
-def shipped(threshold: float) -> OpenCvDetector:
+def shipped(threshold: float) -> Detector:
     cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    return OpenCvDetector(cfg, SHIPPED_WEIGHTS, "auto", threshold, 0.45)
+    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45))
 
 
 def test_a_batch_of_frames_gives_what_single_frames_give(sine: Path) -> None:
@@ -161,7 +164,12 @@ def test_what_the_user_can_mend_is_said_in_one_line(sine: Path, tmp_path: Path) 
     full = str(SHIPPED / "yolov3.cfg")
     assert "does not fit" in fails("track", video, "--cfg", full, "--out", out)
     assert "no such video" in fails("track", str(tmp_path / "none.avi"), "--out", out)
-    assert "CUDA" in fails("track", video, "--backend", "opencv-cuda", "--out", out)
+    if not has_cuda():
+        assert "CUDA" in fails("track", video, "--backend", "opencv-cuda", "--out", out)
+    assert "nearest is 96" in fails("track", video, "--size", "100x64", "--out", out)
+    assert "such as 960x480" in fails("track", video, "--size", "big", "--out", out)
+    int8 = ("--backend", "opencv", "--precision", "int8")
+    assert "opencv computes in fp32" in fails("track", video, *int8, "--out", out)
     (tmp_path / "file").touch()
     assert "file" in fails("track", video, "--out", str(tmp_path / "file" / "out"))
     assert "no such file" in fails("evaluate", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"))
@@ -192,19 +200,42 @@ def test_what_was_tracked_before_a_problem_is_kept(sine: Path, tmp_path: Path) -
 def test_ctrl_c_keeps_what_was_tracked(
     sine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    detect, calls = OpenCvDetector.detect, []
+    centres, calls = centres_of_mass, []
 
-    def interrupted(self: OpenCvDetector, frames: list[np.ndarray]) -> list[object]:
+    def interrupted(frame: Frame, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         calls.append(1)
         if len(calls) > 5:
             raise KeyboardInterrupt
-        return detect(self, frames)  # type: ignore[return-value]
+        return centres(frame, boxes)
 
-    monkeypatch.setattr(OpenCvDetector, "detect", interrupted)
+    monkeypatch.setattr(pipeline, "centres_of_mass", interrupted)
     message = fails("track", str(sine / "video.avi"), "--out", str(tmp_path))
     assert "interrupted after 5 frames" in message
     rows, _ = read_trajectories(tmp_path / "trajectories.csv")
     assert np.unique(rows.frame).tolist() == list(range(5))
+
+
+def test_what_runs_and_how_long_each_stage_takes_is_reported(sine: Path, tmp_path: Path) -> None:
+    options = ("--backend", "opencv", "--size", "480x256", "--max-frames", "8")
+    track(sine / "video.avi", tmp_path, *options)
+    written = json.loads((tmp_path / "report.json").read_text())
+    assert written["settings"]["backend"] == "opencv fp32"
+    assert written["settings"]["network_size"] == [480, 256]
+    assert written["summary"]["n_frames"] == 8
+    for stage in ("decode", "preprocess", "network", "decode_boxes", "track", "write"):
+        assert 0 < written["summary"][f"{stage}_ms"] < 60_000
+
+
+def test_frames_that_cannot_be_decoded_are_counted_and_said(sine: Path, tmp_path: Path) -> None:
+    data = (sine / "video.avi").read_bytes()
+    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
+    out = tmp_path / "out"
+    output = track(tmp_path / "cut.avi", out, "--backend", "opencv", "--size", "480x256")
+    summary = json.loads((out / "report.json").read_text())["summary"]
+    assert 10 < summary["n_frames"] < 30
+    assert summary["n_frames_missing"] == 40 - summary["n_frames"]
+    said = f"{summary['n_frames_missing']} of the 40 frames it claims could not be decoded"
+    assert said in output
 
 
 def test_a_full_disk_is_said_in_one_line(sine: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from droptrack import DroptrackError
-from droptrack.video import Video, VideoInfo, VideoWriter, as_frame
+from droptrack.video import Video, VideoInfo, VideoWriter, as_frame, grey_plane
 
 
 def write_video(path: Path, n: int = 12, size: tuple[int, int] = (64, 48)) -> None:
@@ -93,11 +93,37 @@ def test_images_of_another_size_end_the_video_with_their_number(tmp_path: Path) 
         next(frames)
 
 
-def test_a_damaged_image_in_a_folder_is_named(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((20, 30), np.uint8))
+def test_a_damaged_image_in_a_folder_is_skipped_but_numbered(tmp_path: Path) -> None:
+    for t in (0, 2):
+        cv2.imwrite(str(tmp_path / f"{t}.png"), np.full((20, 30), t, np.uint8))
     (tmp_path / "1.png").write_bytes(b"not a png")
-    with pytest.raises(DroptrackError, match=r"1\.png"):
-        list(Video(str(tmp_path)))
+    video = Video(str(tmp_path))
+    assert [(number, int(frame[0, 0, 0])) for number, frame in video.numbered()] == [(0, 0), (2, 2)]
+    assert video.info.n_frames == 3
+
+
+def test_what_is_damaged_in_the_middle_of_a_video_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "v.avi"
+    write_video(path, n=20, size=(320, 240))
+    data = bytearray(path.read_bytes())
+    middle, tenth = len(data) // 2, len(data) // 10
+    data[middle : middle + tenth] = bytes(tenth)
+    path.write_bytes(data)
+    video = Video(str(path))
+    levels = [round(int(frame[5, 5, 0]) / 10) for frame in video]
+    assert 15 <= len(levels) < video.info.n_frames == 20
+    assert levels == sorted(set(levels))
+    assert levels[-1] == 19
+
+
+def test_grey_videos_stay_grey_until_a_colour_comes(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "v.avi", VideoInfo(64, 48, 12, 3), "MJPG") as video:
+        for colour in ((90, 90, 90), (20, 90, 200), (90, 90, 90)):
+            video.write(np.full((48, 64, 3), colour, np.uint8))
+    frames = list(Video(str(tmp_path / "v.avi")))
+    assert [grey_plane(frame) is not None for frame in frames] == [True, False, False]
+    assert np.abs(frames[0].astype(int) - 90).max() <= 1
+    assert np.abs(frames[1][5, 5].astype(int) - (20, 90, 200)).max() <= 4
 
 
 def test_an_unwritable_video_is_said_to_be(tmp_path: Path) -> None:

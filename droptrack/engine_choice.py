@@ -1,0 +1,171 @@
+"""Which engine runs a network, and how precisely: the one named, or the fastest that works."""
+
+import ctypes.util
+import importlib.util
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from droptrack import DroptrackError
+from droptrack.darknet_files import Cfg, Weights, read_weights
+from droptrack.detector import Detector, Engine, first_line
+from droptrack.engines import opencv_dnn
+from droptrack.quantisation import find_calibration
+from droptrack.video import grey_frame
+
+
+class Backend(StrEnum):
+    """What runs the network."""
+
+    auto = "auto"
+    opencv = "opencv"
+    opencv_cuda = "opencv-cuda"
+    openvino = "openvino"
+    torch = "torch"
+    torch_cuda = "torch-cuda"
+
+
+class Precision(StrEnum):
+    """What the network computes in."""
+
+    auto = "auto"
+    fp32 = "fp32"
+    bf16 = "bf16"
+    fp16 = "fp16"
+    int8 = "int8"
+
+
+# what each computes in; the first is what `auto` takes, besides int8 where it has been calibrated
+PRECISIONS = {
+    Backend.torch_cuda: (Precision.fp16, Precision.bf16, Precision.fp32),
+    Backend.opencv_cuda: (Precision.fp32, Precision.fp16),
+    Backend.openvino: (Precision.fp32, Precision.bf16, Precision.int8),
+    Backend.opencv: (Precision.fp32,),
+    Backend.torch: (Precision.fp32, Precision.bf16),
+}
+EXTRAS = {"torch": "train", "openvino": "openvino", "onnx": "openvino"}
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network as its files have it, and what `Detector` needs besides."""
+
+    cfg: Cfg
+    weights_path: Path
+    threshold: float
+    max_iou: float
+
+    def weights(self) -> Weights:
+        """The weights; raises DroptrackError for a file that does not fit the cfg."""
+        return read_weights(self.weights_path, self.cfg)
+
+
+def choose_detector(
+    network: Network,
+    backend: Backend = Backend.auto,
+    precision: Precision = Precision.auto,
+    *,
+    live: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> Detector:
+    """A detector on the engine and with the precision wanted.
+
+    `auto` takes the fastest that is installed and computes a picture, and tells `say` which did
+    not. `live` asks for the shortest time a frame rather than the most frames a second. Raises
+    DroptrackError when what was named is not to be had.
+    """
+    weights = network.weights()
+    if backend is not Backend.auto:
+        engine = _engine(network, weights, backend, precision, live=live)
+        return Detector(engine, network.threshold, network.max_iou)
+    reasons = []
+    for candidate in _candidates(precision):
+        try:
+            engine = _engine(network, weights, candidate, precision, live=live)
+        except DroptrackError as error:
+            reasons.append(str(error))
+            continue
+        for reason in reasons:
+            say(f"not used: {reason}")
+        return Detector(engine, network.threshold, network.max_iou)
+    raise DroptrackError(f"--precision {precision}: no engine here has it: {'; '.join(reasons)}")
+
+
+def _candidates(precision: Precision) -> Iterator[Backend]:
+    """Engines that are installed, the fastest first.
+
+    Importing PyTorch takes seconds, so it is not asked for a GPU where there is no driver; on CPUs
+    it is the slowest.
+    """
+    driver = ctypes.util.find_library("cuda") or ctypes.util.find_library("nvcuda")
+    here = {
+        Backend.torch_cuda: bool(driver) and _installed("torch"),
+        Backend.opencv_cuda: opencv_dnn.has_cuda(),
+        Backend.openvino: _installed("openvino") and _installed("onnx"),
+        Backend.opencv: True,
+        Backend.torch: precision is Precision.bf16 and _installed("torch"),
+    }
+    for backend, precisions in PRECISIONS.items():
+        if here[backend] and (precision is Precision.auto or precision in precisions):
+            yield backend
+
+
+def _installed(package: str) -> bool:
+    return importlib.util.find_spec(package) is not None
+
+
+def _engine(
+    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+) -> Engine:
+    """An engine that has computed a picture; raises DroptrackError with the reason if it cannot."""
+    if precision is not Precision.auto and precision not in PRECISIONS[backend]:
+        has = ", ".join(PRECISIONS[backend])
+        raise DroptrackError(f"--precision {precision}: {backend} computes in {has}")
+    try:
+        engine = _make(network, weights, backend, precision, live=live)
+        black = grey_frame(np.zeros((network.cfg.height, network.cfg.width), np.uint8))
+        engine.rows(engine.run(engine.prepare([black])))
+    except ImportError as error:
+        package = (error.name or "").partition(".")[0]
+        extra = EXTRAS.get(package)
+        cure = f"pip install 'droptrack[{extra}]'" if extra else f"it lacks {error.name}"
+        raise DroptrackError(f"--backend {backend}: is not installed; {cure}") from None
+    except (RuntimeError, cv2.error, OSError) as error:
+        reason = first_line(error)
+        raise DroptrackError(f"--backend {backend}: does not work here: {reason}") from error
+    return engine
+
+
+def _make(
+    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+) -> Engine:
+    cfg, threshold = network.cfg, network.threshold
+    exact = PRECISIONS[backend][0] if precision is Precision.auto else precision
+    if backend in (Backend.opencv, Backend.opencv_cuda):
+        return opencv_dnn.OpenCvEngine(cfg, weights, backend, exact, threshold)
+    if backend is Backend.openvino:
+        from droptrack.engines.openvino import OpenVinoEngine, computes_int8, usable_cores
+
+        calibration = None
+        if precision is Precision.int8 or (precision is Precision.auto and computes_int8()):
+            calibration = find_calibration(network.weights_path, cfg)
+        if precision is Precision.int8 and calibration is None:
+            raise DroptrackError(
+                f"--precision int8: {network.weights_path} is not calibrated for {cfg.width} x "
+                f"{cfg.height} px: python -m droptrack.calibrate --weights {network.weights_path} "
+                f"--size {cfg.width}x{cfg.height} --data DIR/obj.data"
+            )
+        streams = 1 if live else min(2, usable_cores())
+        if calibration is not None:
+            return OpenVinoEngine(
+                cfg, weights, Precision.int8, threshold, calibration.ranges, streams
+            )
+        return OpenVinoEngine(cfg, weights, exact, threshold, None, streams)
+    from droptrack.engines.pytorch import TorchCudaEngine, TorchEngine
+
+    kind = TorchCudaEngine if backend is Backend.torch_cuda else TorchEngine
+    return kind(cfg, weights, exact, threshold)

@@ -1,0 +1,127 @@
+"""Networks through OpenVINO on the CPU, in fp32, bf16 or int8."""
+
+import os
+import queue
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+
+import cv2
+import numpy as np
+import openvino
+from numpy.typing import NDArray
+
+from droptrack.darknet_files import Cfg, Weights, yolo_heads
+from droptrack.detector import Float32s, decode_heads
+from droptrack.onnx_export import Range, onnx_model
+from droptrack.video import Frame, grey_plane
+
+Pixels = NDArray[np.uint8]
+
+# in int8, what is not quantised, such as the last maps, is computed in fp32
+INFERENCE_PRECISION = {"fp32": "f32", "bf16": "bf16", "int8": "f32"}
+
+
+class OpenVinoEngine:
+    """A network in OpenVINO.
+
+    `ranges` of the layers' outputs, for int8 (`quantisation.Calibration`). `streams`: how many
+    pictures are computed at once, each by a part of the cores: one for the shortest time from
+    picture to boxes, two for more pictures a second. Grey frames take a network with one channel.
+    """
+
+    def __init__(
+        self,
+        cfg: Cfg,
+        weights: Weights,
+        precision: str,
+        threshold: float,
+        ranges: Mapping[int, Range] | None = None,
+        streams: int = 1,
+    ) -> None:
+        self.name = f"openvino {precision}"
+        self.parallel = streams
+        self._cfg, self._weights, self._ranges = cfg, weights, ranges
+        self._size = (cfg.width, cfg.height)
+        self._heads, self._threshold = yolo_heads(cfg), threshold
+        self._settings = {
+            "INFERENCE_PRECISION_HINT": INFERENCE_PRECISION[precision],
+            "PERFORMANCE_HINT": "LATENCY" if streams == 1 else "THROUGHPUT",
+            "NUM_STREAMS": streams,
+            "INFERENCE_NUM_THREADS": usable_cores(),
+        }
+        self._requests: dict[int, queue.SimpleQueue[openvino.InferRequest]] = {}
+        self._compiling = threading.Lock()
+
+    def prepare(self, frames: Sequence[Frame]) -> Pixels:
+        """Pictures (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
+        planes = [grey_plane(frame) for frame in frames]
+        if any(plane is None for plane in planes):
+            blob = cv2.dnn.blobFromImages(frames, 1, self._size, swapRB=True, ddepth=cv2.CV_8U)
+            return np.asarray(blob, np.uint8)
+        pixels = np.empty((len(frames), 1, self._size[1], self._size[0]), np.uint8)
+        for plane, target in zip(planes, pixels, strict=True):
+            cv2.resize(np.asarray(plane), self._size, dst=target[0])
+        return pixels
+
+    def run(self, prepared: Pixels) -> list[Float32s]:
+        """The maps of the heads (B, A * (5 + C), rows, columns)."""
+        requests = self._requests_for(prepared.shape[1])
+        request = requests.get()
+        try:
+            request.infer([prepared], share_inputs=True)
+            return [np.array(output.data, np.float32) for output in request.output_tensors]
+        finally:
+            requests.put(request)
+
+    def rows(self, outputs: list[Float32s]) -> list[Float32s]:
+        """Decoded rows (N, 5 + C) of each picture."""
+        return decode_heads(outputs, self._heads, self._threshold)
+
+    def _requests_for(self, channels: int) -> "queue.SimpleQueue[openvino.InferRequest]":
+        """Free infer requests of the network for grey or RGB pictures, compiled when needed."""
+        with self._compiling:
+            if channels not in self._requests:
+                model = onnx_model(
+                    self._cfg,
+                    self._weights,
+                    pixels=True,
+                    grey=channels == 1,
+                    ranges=self._ranges,
+                )
+                core = openvino.Core()
+                compiled = core.compile_model(
+                    core.read_model(model.SerializeToString()), "CPU", self._settings
+                )
+                free: queue.SimpleQueue[openvino.InferRequest] = queue.SimpleQueue()
+                for _ in range(self.parallel):
+                    free.put(compiled.create_infer_request())
+                self._requests[channels] = free
+        return self._requests[channels]
+
+
+def usable_cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def computes_int8() -> bool:
+    """Whether this CPU computes in int8 faster than in fp32."""
+    return "INT8" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+
+
+def output_ranges(
+    cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
+) -> dict[int, Range]:
+    """The least and largest value that layers put out, in fp32, over frames, by layer."""
+    core = openvino.Core()
+    model = core.read_model(onnx_model(cfg, weights, taps=layers).SerializeToString())
+    compiled = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    lows, highs = [], []
+    for frame in frames:
+        size = (cfg.width, cfg.height)
+        outputs = compiled(cv2.dnn.blobFromImages([frame], 1 / 255, size, swapRB=True))
+        maps = [outputs[f"layer_{layer}"] for layer in layers]
+        lows.append([float(values.min()) for values in maps])
+        highs.append([float(values.max()) for values in maps])
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    return {layer: (float(low[i]), float(high[i])) for i, layer in enumerate(layers)}

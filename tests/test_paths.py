@@ -1,0 +1,42 @@
+"""Paths whose lengths one can count by hand."""
+
+import math
+
+import numpy as np
+
+from droptrack.paths import Paths
+from droptrack.trajectories import Trajectories, sorted_trajectories
+
+
+def rows(points: list[tuple[int, int, float, float, bool]]) -> Trajectories:
+    """Of frame, identity, x, y and whether observed; boxes are 4 x 9 px."""
+    n = len(points)
+    frame, track_id, x, y, observed = (np.array(column) for column in zip(*points, strict=True))
+    boxes = np.column_stack([x, y, np.full(n, 4.0), np.full(n, 9.0)])
+    return sorted_trajectories(frame, track_id, x, y, boxes, np.ones(n), observed)
+
+
+def test_a_path_is_as_long_as_its_steps() -> None:
+    paths = Paths()
+    paths.add(rows([(3, 2, 0.0, 0.0, True), (4, 1, 7.0, 7.0, True), (4, 2, 3.0, 4.0, False)]))
+    paths.add(rows([(5, 2, 3.0, 5.0, True)]))
+    first, second = paths.table()
+    assert (first["track_id"], first["path_px"], first["n_observed"]) == (1, 0.0, 1)
+    assert math.isnan(float(first["speed_px_per_frame"]))  # type: ignore[arg-type]
+    assert second == {
+        "track_id": 2,
+        "first_frame": 3,
+        "last_frame": 5,
+        "n_observed": 2,
+        "n_bridged": 1,
+        "diameter_px": 6.0,
+        "path_px": 6.0,
+        "speed_px_per_frame": 3.0,
+    }
+
+
+def test_lines_are_thinned_but_reach_the_end() -> None:
+    paths = Paths()
+    paths.add(rows([(t, 1, 0.5 * t, 0.0, True) for t in range(101)]))
+    (line,) = paths.lines().values()
+    assert line[:, 0].tolist() == [*np.arange(0, 50.1, 2.5).tolist(), 50.0]

@@ -1,6 +1,5 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
-import csv
 import math
 import os
 import signal
@@ -24,6 +23,9 @@ from droptrack.metrics import average_precision
 from droptrack.torch_data import Augmentation, Batches, TrainingPictures, collate
 from droptrack.torch_loss import Loss, yolo_loss
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values
+from droptrack.training_log import Step, TrainingLog, running_average
+
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -41,21 +43,7 @@ class Settings:
     save_every: int  # iterations between checkpoints
     map_every: int  # iterations between measurements of the mAP
     map_images: int  # validation pictures they use
-
-
-@dataclass(frozen=True)
-class Step:
-    """What one iteration did; `mean_ap` is NaN where it was not measured."""
-
-    iteration: int
-    loss: float
-    regression: float
-    objectness: float
-    classes: float
-    learning_rate: float
-    seconds: float
-    images: int
-    mean_ap: float
+    patience: int  # mAPs without a new best that end the training; 0: never
 
 
 def train(
@@ -66,7 +54,7 @@ def train(
     `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. Files, by
     the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
     whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end,
-    and ``training.csv``. Raises DroptrackError when the loss is no number any more.
+    ``training.csv`` and ``training.png``. Raises DroptrackError when the loss is no number.
     """
     torch.manual_seed(settings.seed)
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
@@ -77,7 +65,7 @@ def train(
         load_values(network, read_weights(start, cfg).values)
     optimizer = _optimizer(network, cfg, settings)
     checkpoint = out / f"{cfg.path.stem}_checkpoint.pt"
-    first, best = _restore(checkpoint, network, optimizer) if resume else (0, 0.0)
+    first = _restore(checkpoint, network, optimizer) if resume else 0
 
     augmentation = Augmentation.of(cfg, settings.window, settings.sizes)
     batches = Batches(
@@ -104,68 +92,80 @@ def train(
 
     iteration = first
     began = time.perf_counter()
-    with (out / "training.csv").open("a" if resume else "w", newline="", buffering=1) as file:
-        log = csv.writer(file, lineterminator="\n")
-        if not resume:
-            log.writerow(Step.__dataclass_fields__)
+    with TrainingLog(out, first) as log:
         try:
             for iteration, (images, truths) in enumerate(loader, start=first + 1):
                 rate = learning_rate(iteration, cfg, settings)
                 for group in optimizer.param_groups:
                     group["lr"] = rate
-                loss = _step(network, optimizer, images.to(device), truths.to(device))
-                if not torch.isfinite(loss.total):
-                    raise DroptrackError(
-                        f"{out}: the loss is no number any more at iteration {iteration}; "
-                        "start again with a smaller --learning-rate"
-                    )
-                mean_ap = np.nan
+                loss, printed, finite = _step(
+                    network, optimizer, images.to(device), truths.to(device)
+                )
+                mean_ap = NAN
                 if iteration % settings.map_every == 0 or iteration == settings.iterations:
                     mean_ap = validation_map(network, data.valid[: settings.map_images])
-                    if mean_ap > best:
-                        best = mean_ap
+                    if mean_ap > max(log.mean_aps, default=0.0):
                         save(iteration, "best")
                 if iteration % settings.save_every == 0:
                     save(iteration, "last")
-                    _save_checkpoint(checkpoint, network, optimizer, iteration, best)
+                    _save_checkpoint(checkpoint, network, optimizer, iteration)
                 now = time.perf_counter()
                 step = Step(
                     iteration,
-                    float(loss.total),
+                    printed,
+                    running_average(log.average_loss, printed),
                     float(loss.regression),
                     float(loss.objectness),
                     float(loss.classes),
+                    loss.n_rewritten / max(1, loss.n_truths),
                     rate,
                     now - began,
                     iteration * settings.batch,
                     mean_ap,
                 )
                 began = now
-                log.writerow([f"{value:.6g}" for value in vars(step).values()])
+                log.append(step)
                 yield step
+                if not finite:
+                    raise DroptrackError(
+                        f"{out}: the loss or its gradient is no number any more at iteration "
+                        f"{iteration}, at a rate of {rate:g}; start again, in another --out, with "
+                        "a smaller --learning-rate"
+                    )
+                if log.is_stale(settings.patience):
+                    break
             save(iteration, "final")
         except DroptrackError as error:  # a worker's comes wrapped in its traceback
             last = str(error).strip().splitlines()[-1]
             raise DroptrackError(last.removeprefix("droptrack.DroptrackError: ")) from None
         finally:
             save(iteration, "last")
-            _save_checkpoint(checkpoint, network, optimizer, iteration, best)
+            _save_checkpoint(checkpoint, network, optimizer, iteration)
 
 
 def _step(
     network: DarknetNetwork, optimizer: torch.optim.Optimizer, images: Tensor, truths: Tensor
-) -> Loss:
-    """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6)."""
+) -> tuple[Loss, float, bool]:
+    """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6).
+
+    Returns the loss, the number that Darknet prints for it (`Step`), and whether all was finite; if
+    not, no step was made, and what is learnt until here stays intact.
+    """
     network.train()
     inputs = (images.float() / 255).contiguous(memory_format=torch.channels_last)
     with torch.autocast(images.device.type, torch.bfloat16):
-        maps = network(inputs)
+        maps = [raw.float() for raw in network(inputs)]
+    for raw in maps:
+        raw.retain_grad()
     loss = yolo_loss(network.cfg, maps, truths)
     optimizer.zero_grad(set_to_none=True)
     loss.total.backward()  # type: ignore[no-untyped-call]
-    torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
-    optimizer.step()
-    return loss.detached()
+    squares = sum(float(raw.grad.square().sum()) for raw in maps if raw.grad is not None)
+    norm = torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
+    finite = bool(torch.isfinite(norm + loss.total))
+    if finite:
+        optimizer.step()
+    return loss.detached(), squares * len(images) / len(maps), finite
 
 
 def learning_rate(iteration: int, cfg: Cfg, settings: Settings) -> float:
@@ -244,22 +244,18 @@ def _save_checkpoint(
     network: DarknetNetwork,
     optimizer: torch.optim.Optimizer,
     iteration: int,
-    best: float,
 ) -> None:
     partial = path.with_name(path.name + ".partial")
     state = {
         "network": network.state_dict(),
         "optimizer": optimizer.state_dict(),
         "iteration": iteration,
-        "best": best,
     }
     torch.save(state, partial)
     os.replace(partial, path)
 
 
-def _restore(
-    path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimizer
-) -> tuple[int, float]:
+def _restore(path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimizer) -> int:
     if not path.exists():
         raise DroptrackError(f"{path}: no checkpoint to resume from; start without --resume")
     try:
@@ -269,4 +265,10 @@ def _restore(
     except (RuntimeError, KeyError, ValueError, EOFError) as error:
         reason = str(error).splitlines()[0]
         raise DroptrackError(f"{path}: is no checkpoint of this network: {reason}") from None
-    return int(state["iteration"]), float(state["best"])
+    return int(state["iteration"])
+
+
+def machine() -> dict[str, str]:
+    """What trains, for the run file."""
+    device = torch.cuda.get_device_name() if torch.cuda.is_available() else "CPU"
+    return {"trainer": f"PyTorch {torch.__version__} on {device}"}

@@ -234,6 +234,7 @@ def settings(**changes: object) -> Settings:
         "save_every": 10,
         "map_every": 1000,
         "map_images": 4,
+        "patience": 0,
     }
     return Settings(**{**options, **changes})  # type: ignore[arg-type]
 

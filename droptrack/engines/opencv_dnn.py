@@ -47,6 +47,8 @@ class OpenCvDetector:
             for output in self._network.forward(self._outputs)
         ]
         rows = np.concatenate(heads, axis=1)  # (B, N, 5 + C)
+        # OpenCV has multiplied the probabilities by the objectness, as `select` will
+        rows[..., 5:] /= np.maximum(rows[..., 4:5], np.finfo(np.float32).tiny)
         return [
             select(frame_rows, width, height, self.threshold, self.max_iou) for frame_rows in rows
         ]

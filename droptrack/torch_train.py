@@ -1,8 +1,11 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
+import contextlib
+import datetime
 import math
 import os
 import signal
+import tempfile
 import time
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +14,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, distributed, nn
+from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from droptrack import DroptrackError
@@ -20,7 +24,7 @@ from droptrack.dataset import DataSet, read_image, read_truth
 from droptrack.detections import Detections
 from droptrack.detector import decode_head, select
 from droptrack.metrics import average_precision
-from droptrack.torch_data import Augmentation, Batches, TrainingPictures, collate
+from droptrack.torch_data import Augmentation, Batches, DrawPicture, TrainingPictures, collate
 from droptrack.torch_loss import Loss, yolo_loss
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training_log import Step, TrainingLog, running_average
@@ -33,32 +37,56 @@ class Settings:
     """How to train, beside what the ``.cfg`` says."""
 
     iterations: int  # batches in all
-    batch: int  # pictures an iteration
+    batch: int  # pictures an iteration, over all devices
     optimizer: str  # "sgd": Darknet's, by the cfg; "adamw": less iterations, half a cosine
     learning_rate: float
     window: tuple[int, int] | None  # see Augmentation
     sizes: tuple[float, float] | None  # range of the factor on the network's size
     seed: int
-    workers: int  # processes that prepare pictures
+    workers: int  # processes a device that prepare pictures
     save_every: int  # iterations between checkpoints
     map_every: int  # iterations between measurements of the mAP
     map_images: int  # validation pictures they use
     patience: int  # mAPs without a new best that end the training; 0: never
+    devices: tuple[str, ...]  # one process each: ("cuda:0", "cuda:1")
+    bf16: bool  # the network computes in bfloat16; weights, gradients and loss are float32
 
 
 def train(
-    cfg: Cfg, data: DataSet, out: Path, settings: Settings, start: Path | None, resume: bool
+    cfg: Cfg,
+    data: DataSet,
+    out: Path,
+    settings: Settings,
+    start: Path | None,
+    resume: bool,
+    draw: DrawPicture | None = None,
 ) -> Generator[Step, None, None]:
     """Train and yield after each iteration; checkpoints and ``.weights`` go into the folder `out`.
 
-    `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. Files, by
-    the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
-    whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end,
-    ``training.csv`` and ``training.png``. Raises DroptrackError when the loss is no number.
+    `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. `draw`
+    makes the training pictures instead of the data set. Files, by the cfg's stem: ``_last.weights``
+    and ``_checkpoint.pt`` every `save_every` iterations and whenever the training stops,
+    ``_best.weights`` at the best mAP, ``_final.weights`` at the end, ``training.csv`` and
+    ``training.png``. Raises DroptrackError when the loss is no number.
     """
+    with _other_ranks(settings, cfg, data, out, start, resume, draw):
+        yield from _train(0, cfg, data, out, settings, start, resume, draw)
+
+
+def _train(
+    rank: int,
+    cfg: Cfg,
+    data: DataSet,
+    out: Path,
+    settings: Settings,
+    start: Path | None,
+    resume: bool,
+    draw: DrawPicture | None,
+) -> Generator[Step, None, None]:
+    """The training loop of one device. Rank 0 also measures, saves and logs."""
     torch.manual_seed(settings.seed)
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = torch.device(settings.devices[rank])
     network = DarknetNetwork(cfg).to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     if start is not None:
@@ -66,20 +94,22 @@ def train(
     optimizer = _optimizer(network, cfg, settings)
     checkpoint = out / f"{cfg.path.stem}_checkpoint.pt"
     first = _restore(checkpoint, network, optimizer) if resume else 0
+    model: nn.Module = network
+    if len(settings.devices) > 1:
+        model = DistributedDataParallel(network)
 
     augmentation = Augmentation.of(cfg, settings.window, settings.sizes)
-    batches = Batches(
-        len(data.train),
-        settings.batch,
-        first,
-        settings.iterations,
-        settings.seed,
-        augmentation.random,
-    )
-    pictures = TrainingPictures(data, augmentation, len(data.names))
     loader = DataLoader(
-        pictures,
-        batch_sampler=batches,
+        TrainingPictures(data, augmentation, draw),
+        batch_sampler=Batches(
+            len(data.train),
+            settings.batch,
+            first,
+            settings.iterations,
+            settings.seed,
+            augmentation.random,
+            (rank, len(settings.devices)),
+        ),
         num_workers=settings.workers,
         collate_fn=collate,
         worker_init_fn=_quiet_worker,
@@ -92,15 +122,16 @@ def train(
 
     iteration = first
     began = time.perf_counter()
-    with TrainingLog(out, first) as log:
+    with TrainingLog(out, first) if rank == 0 else contextlib.nullcontext() as log:
         try:
             for iteration, (images, truths) in enumerate(loader, start=first + 1):
                 rate = learning_rate(iteration, cfg, settings)
                 for group in optimizer.param_groups:
                     group["lr"] = rate
-                loss, printed, finite = _step(
-                    network, optimizer, images.to(device), truths.to(device)
-                )
+                terms = _step(model, network, optimizer, images, truths, settings.bf16)
+                loss, regression, objectness, classes, rewritten, finite = _mean(terms)
+                if log is None:
+                    continue
                 mean_ap = NAN
                 if iteration % settings.map_every == 0 or iteration == settings.iterations:
                     mean_ap = validation_map(network, data.valid[: settings.map_images])
@@ -112,12 +143,12 @@ def train(
                 now = time.perf_counter()
                 step = Step(
                     iteration,
-                    printed,
-                    running_average(log.average_loss, printed),
-                    float(loss.regression),
-                    float(loss.objectness),
-                    float(loss.classes),
-                    loss.n_rewritten / max(1, loss.n_truths),
+                    loss,
+                    running_average(log.average_loss, loss),
+                    regression,
+                    objectness,
+                    classes,
+                    rewritten,
                     rate,
                     now - began,
                     iteration * settings.batch,
@@ -126,7 +157,7 @@ def train(
                 began = now
                 log.append(step)
                 yield step
-                if not finite:
+                if finite < 1:
                     raise DroptrackError(
                         f"{out}: the loss or its gradient is no number any more at iteration "
                         f"{iteration}, at a rate of {rate:g}; start again, in another --out, with "
@@ -134,38 +165,134 @@ def train(
                     )
                 if log.is_stale(settings.patience):
                     break
-            save(iteration, "final")
+            if rank == 0:
+                save(iteration, "final")
         except DroptrackError as error:  # a worker's comes wrapped in its traceback
             last = str(error).strip().splitlines()[-1]
             raise DroptrackError(last.removeprefix("droptrack.DroptrackError: ")) from None
         finally:
-            save(iteration, "last")
-            _save_checkpoint(checkpoint, network, optimizer, iteration)
+            if rank == 0:
+                save(iteration, "last")
+                _save_checkpoint(checkpoint, network, optimizer, iteration)
 
 
 def _step(
-    network: DarknetNetwork, optimizer: torch.optim.Optimizer, images: Tensor, truths: Tensor
-) -> tuple[Loss, float, bool]:
+    model: nn.Module,
+    network: DarknetNetwork,
+    optimizer: torch.optim.Optimizer,
+    images: Tensor,
+    truths: Tensor,
+    bf16: bool,
+) -> Tensor:
     """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6).
 
-    Returns the loss, the number that Darknet prints for it (`Step`), and whether all was finite; if
-    not, no step was made, and what is learnt until here stays intact.
+    Returns (6,): the number that Darknet prints as the loss (`Step`), the three parts of the loss,
+    the share of rewritten truths, and 1 if all was finite. If not, no step is made: what is learnt
+    until here stays intact.
     """
-    network.train()
+    model.train()
+    device = next(network.parameters()).device
+    images, truths = (t.to(device, non_blocking=True) for t in (images, truths))
     inputs = (images.float() / 255).contiguous(memory_format=torch.channels_last)
-    with torch.autocast(images.device.type, torch.bfloat16):
-        maps = [raw.float() for raw in network(inputs)]
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
+        maps = [raw.float() for raw in model(inputs)]
     for raw in maps:
         raw.retain_grad()
     loss = yolo_loss(network.cfg, maps, truths)
     optimizer.zero_grad(set_to_none=True)
     loss.total.backward()  # type: ignore[no-untyped-call]
-    squares = sum(float(raw.grad.square().sum()) for raw in maps if raw.grad is not None)
     norm = torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
-    finite = bool(torch.isfinite(norm + loss.total))
+    finite = torch.isfinite(norm + loss.total)
     if finite:
         optimizer.step()
-    return loss.detached(), squares * len(images) / len(maps), finite
+    return torch.stack([darknet_loss(maps), *_parts(loss), finite.float()]).detach()
+
+
+def darknet_loss(maps: Sequence[Tensor]) -> Tensor:
+    """What Darknet prints as the loss of maps whose gradients are known."""
+    squares = [raw.grad.square().sum() for raw in maps if raw.grad is not None]
+    return torch.stack(squares).mean() * len(maps[0])
+
+
+def _parts(loss: Loss) -> list[Tensor]:
+    rewritten = torch.tensor(
+        loss.n_rewritten / max(1, loss.n_truths), device=loss.objectness.device
+    )
+    return [loss.regression, loss.objectness, loss.classes, rewritten]
+
+
+def _mean(terms: Tensor) -> list[float]:
+    """Numbers (N,), averaged over the devices."""
+    if distributed.is_initialized():
+        distributed.all_reduce(terms)
+        terms /= distributed.get_world_size()
+    return [float(term) for term in terms.tolist()]
+
+
+@contextlib.contextmanager
+def _other_ranks(
+    settings: Settings,
+    cfg: Cfg,
+    data: DataSet,
+    out: Path,
+    start: Path | None,
+    resume: bool,
+    draw: DrawPicture | None,
+) -> Iterator[None]:
+    """Processes for all devices but the first; this process becomes rank 0."""
+    if len(settings.devices) == 1:
+        yield
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        meeting = Path(folder) / "ranks"
+        context = torch.multiprocessing.get_context("spawn")
+        others = [
+            context.Process(
+                target=_run_rank,
+                args=(rank, meeting, cfg, data, out, settings, start, resume, draw),
+                daemon=not settings.workers,  # a daemon may have no workers of its own
+            )
+            for rank in range(1, len(settings.devices))
+        ]
+        for process in others:
+            process.start()
+        try:
+            _join_ranks(0, settings, meeting)
+            yield
+        finally:
+            for process in others:
+                process.join(5)
+                process.terminate()
+                process.join()
+            distributed.destroy_process_group()
+
+
+def _run_rank(
+    rank: int,
+    meeting: Path,
+    cfg: Cfg,
+    data: DataSet,
+    out: Path,
+    settings: Settings,
+    start: Path | None,
+    resume: bool,
+    draw: DrawPicture | None,
+) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is rank 0's to handle
+    _join_ranks(rank, settings, meeting)
+    for _ in _train(rank, cfg, data, out, settings, start, resume, draw):
+        pass
+    distributed.destroy_process_group()
+
+
+def _join_ranks(rank: int, settings: Settings, meeting: Path) -> None:
+    distributed.init_process_group(
+        "nccl" if settings.devices[rank].startswith("cuda") else "gloo",
+        init_method=meeting.as_uri(),
+        rank=rank,
+        world_size=len(settings.devices),
+        timeout=datetime.timedelta(hours=2),  # rank 0 measures the mAP alone
+    )
 
 
 def learning_rate(iteration: int, cfg: Cfg, settings: Settings) -> float:
@@ -270,5 +397,23 @@ def _restore(path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimiz
 
 def machine() -> dict[str, str]:
     """What trains, for the run file."""
-    device = torch.cuda.get_device_name() if torch.cuda.is_available() else "CPU"
+    device = torch.cuda.get_device_name() if torch.cuda.is_available() else "the CPU"
     return {"trainer": f"PyTorch {torch.__version__} on {device}"}
+
+
+def choose_devices(gpus: str, batch: int) -> tuple[str, ...]:
+    """``0,1`` -> cuda:0, cuda:1; without a choice the first GPU, or the CPU where there is none.
+
+    Raises DroptrackError for GPUs that are not there, or that cannot share a batch evenly.
+    """
+    there = torch.cuda.device_count()
+    if not gpus:
+        return ("cuda:0",) if there else ("cpu",)
+    names = [name.strip() for name in gpus.split(",")]
+    if not all(name.isdigit() and int(name) < there for name in names) or len(set(names)) < len(
+        names
+    ):
+        raise DroptrackError(f"--gpus {gpus}: PyTorch finds {there}, numbered from 0")
+    if batch % len(names):
+        raise DroptrackError(f"--gpus {gpus}: batch={batch} should be a multiple of {len(names)}")
+    return tuple(f"cuda:{int(name)}" for name in names)

@@ -1,14 +1,17 @@
 """Command: train a network, ``python -m droptrack.train``."""
 
-from collections.abc import Generator, Mapping
+import os
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import asdict
 from enum import StrEnum
+from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
@@ -22,7 +25,12 @@ from droptrack.darknet_binary import (
 from droptrack.darknet_files import Cfg, cfg_text, read_cfg, read_weights, with_options
 from droptrack.darknet_train import DarknetTraining
 from droptrack.dataset import read_data_file
-from droptrack.training_checks import check_for_darknet, check_network, check_pictures
+from droptrack.training_checks import (
+    check_for_darknet,
+    check_for_torch,
+    check_network,
+    check_pictures,
+)
 from droptrack.training_log import Step, write_run_file
 from droptrack.validation import mean_ap
 
@@ -40,6 +48,16 @@ class Optimizer(StrEnum):
 
     sgd = "sgd"
     adamw = "adamw"
+
+
+class Precision(StrEnum):
+    """What the torch trainer's network computes in."""
+
+    bf16 = "bf16"
+    fp32 = "fp32"
+
+
+Picture = tuple[NDArray[np.uint8], NDArray[np.float64]]  # (H, W, 3) BGR; boxes (N, 4) px
 
 
 def parse_pair(text: str | None, separator: str, option: str) -> tuple[float, float] | None:
@@ -103,7 +121,15 @@ def main(
         typer.Option(help="PyTorch: range of the factor on the input's size, e.g. 0.5,1.2."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="PyTorch: same seed, same batches.")] = 0,
-    workers: Annotated[int, typer.Option(min=0, help="PyTorch: processes for pictures.")] = 1,
+    draw: Annotated[
+        str, typer.Option(help="PyTorch: draw endless new pictures of a scene, e.g. tiny or full.")
+    ] = "",
+    precision: Annotated[
+        Precision, typer.Option(help="PyTorch: what the network computes in.")
+    ] = Precision.bf16,
+    workers: Annotated[
+        int, typer.Option(min=0, help="PyTorch: processes a GPU that prepare pictures.")
+    ] = min(8, max(1, (os.cpu_count() or 2) - 1)),
 ) -> None:
     """Train a network on a Darknet data set, with Darknet or PyTorch, and write its weights.
 
@@ -120,32 +146,33 @@ def main(
         "--optimizer adamw": optimizer is Optimizer.adamw,
         "--window": window is not None,
         "--sizes": sizes is not None,
+        "--draw": bool(draw),
     }
     binary = _choose(trainer, darknet, [name for name, given in only_torch.items() if given])
-    if out.exists() and any(out.iterdir()) and not resume:
-        raise DroptrackError(f"{out}: is not empty; choose another --out, or go on with --resume")
-    out.mkdir(parents=True, exist_ok=True)
-    (out / cfg.name).write_text(cfg_text(network), encoding="utf-8")
-    network = read_cfg(out / cfg.name)
+    steps: Generator[Step, None, None]
     if binary is not None:
         check_for_darknet(network, pictures, out)
+        network = _run_folder(out, network, resume)
+        darknet_settings = DarknetSettings(gpus, save_every, map_every, patience, hang_minutes * 60)
         training = DarknetTraining(
             binary,
             network,
             pictures,
             out,
-            DarknetSettings(gpus, save_every, map_every, patience, hang_minutes * 60),
+            darknet_settings,
             lambda path: mean_ap(network, path, pictures.valid[:map_images]),
         )
-        about, steps = binary.about(), training.steps(weights, resume)
+        about = {**binary.about(), **asdict(darknet_settings)}
+        steps = training.steps(weights, resume)
     else:
         if find_spec("torch") is None:
             raise DroptrackError(
                 "found no Darknet (--darknet, $DARKNET, PATH), and no PyTorch: "
                 "pip install 'droptrack[train]'"
             )
-        from droptrack.torch_train import Settings, machine, train
+        from droptrack.torch_train import Settings, choose_devices, machine, train
 
+        check_for_torch(network)
         pair = parse_pair(window, "x", "--window")
         if pair and any(side < 32 or side % 32 for side in pair):
             raise DroptrackError(f"--window {window}: both should be multiples of 32")
@@ -162,12 +189,46 @@ def main(
             map_every,
             map_images,
             patience,
+            choose_devices(gpus, network.net.integer("batch")),
+            precision is Precision.bf16,
         )
+        source = _picture_source(draw) if draw else None
+        network = _run_folder(out, network, resume)
         about = {**machine(), **asdict(settings)}
-        steps = train(network, pictures, out, settings, weights, resume)
+        steps = train(network, pictures, out, settings, weights, resume, source)
     write_run_file(out, about)
     best = _show(steps, network, about)
     typer.echo(f"{out}: best mAP@0.50 {best:.4f}; weights {network.path.stem}_best and _final")
+
+
+def _choose(trainer: Trainer, given: Path | None, only_torch: list[str]) -> Darknet | None:
+    """The Darknet that is to train, or None for PyTorch."""
+    if trainer is Trainer.torch or (trainer is Trainer.auto and only_torch):
+        return None
+    if only_torch:
+        raise DroptrackError(f"{only_torch[0]}: only PyTorch can do this: --trainer torch")
+    path = find_darknet(given)
+    if path is None and trainer is Trainer.darknet:
+        raise DroptrackError("--trainer darknet: found none; name it: --darknet FILE, or $DARKNET")
+    return None if path is None else identify(path)
+
+
+def _picture_source(scene: str) -> Callable[[np.random.Generator], Picture]:
+    """Draws pictures of a scene; whoever can do so says so by an entry point."""
+    for source in entry_points(group="droptrack.pictures"):
+        drawn: Callable[[np.random.Generator], Picture] = source.load()(scene)
+        return drawn
+    raise DroptrackError("--draw: nothing is installed that draws pictures; install data_gen")
+
+
+def _run_folder(out: Path, network: Cfg, resume: bool) -> Cfg:
+    """Make the run folder, never over another; returns the cfg as it lies there."""
+    if out.exists() and any(out.iterdir()) and not resume:
+        raise DroptrackError(f"{out}: is not empty; choose another --out, or go on with --resume")
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / network.path.name
+    path.write_text(cfg_text(network), encoding="utf-8")
+    return read_cfg(path)
 
 
 def _show(steps: Generator[Step, None, None], network: Cfg, about: Mapping[str, object]) -> float:
@@ -197,18 +258,6 @@ def _show(steps: Generator[Step, None, None], network: Cfg, about: Mapping[str, 
                 f"{out}: stopped; --resume goes on from iteration {found[1]}"
             ) from None
     return float(best)
-
-
-def _choose(trainer: Trainer, given: Path | None, only_torch: list[str]) -> Darknet | None:
-    """The Darknet that is to train, or None for PyTorch."""
-    if trainer is Trainer.torch or (trainer is Trainer.auto and only_torch):
-        return None
-    if only_torch:
-        raise DroptrackError(f"{only_torch[0]}: only PyTorch can do this: --trainer torch")
-    path = find_darknet(given)
-    if path is None and trainer is Trainer.darknet:
-        raise DroptrackError("--trainer darknet: found none; name it: --darknet FILE, or $DARKNET")
-    return None if path is None else identify(path)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,18 @@ MOVED_LABELS = (
     "/JPEGImages/",
     *(f"/images/{split}{year}/" for split in ("train", "val") for year in (2014, 2017)),
 )
+# the values of Darknet's options that mean what the PyTorch trainer does
+ONLY_DARKNET = {
+    "net": {
+        **dict.fromkeys(("mosaic", "mixup", "cutmix", "blur", "gaussian_noise", "angle"), "0"),
+        "policy": "steps",
+    },
+    "yolo": {
+        "iou_loss": "mse",
+        **dict.fromkeys(("scale_x_y", "obj_normalizer", "cls_normalizer", "iou_thresh"), "1"),
+        **dict.fromkeys(("label_smooth_eps", "objectness_smooth", "focal_loss"), "0"),
+    },
+}
 SUFFIXES = {".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".tiff"}
 
 
@@ -81,6 +93,25 @@ def _line(labels: Path, row: int) -> int:
     return [number for number, line in enumerate(lines, start=1) if line.strip()][row]
 
 
+def check_for_torch(cfg: Cfg) -> None:
+    """Raises DroptrackError for what Darknet's training can do and the PyTorch trainer cannot."""
+    for layer in (cfg.net, *(layer for layer in cfg.layers if layer.kind == "yolo")):
+        for key, known in ONLY_DARKNET["yolo" if layer.kind == "yolo" else "net"].items():
+            text = layer.text(key, known)
+            if text != known and _number(text) != _number(known):
+                raise DroptrackError(
+                    f"{cfg.path}:{layer.line}: {key}={text} is only for Darknet; "
+                    f"set {key}={known}, or use --trainer darknet"
+                )
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def check_for_darknet(cfg: Cfg, data: DataSet, out: Path) -> None:
     """Raises DroptrackError for names that Darknet would misread and for too small a disk."""
     if "." in cfg.path.stem:
@@ -105,7 +136,8 @@ def check_for_darknet(cfg: Cfg, data: DataSet, out: Path) -> None:
     log_lines = 2 + 2 * cfg.net.integer("subdivisions", 1) * len(yolo_heads(cfg))
     wanted = snapshots * 4 * sum(c.n_values for c in convolutions(cfg))
     wanted += 170 * log_lines * iterations
-    if (free := shutil.disk_usage(out).free) < wanted:
+    place = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
+    if (free := shutil.disk_usage(place).free) < wanted:
         raise DroptrackError(
             f"{out}: has {free / 1e9:.1f} GB free, the training writes up to {wanted / 1e9:.1f} GB"
             "; make room or choose another --out"

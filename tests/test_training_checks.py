@@ -8,7 +8,12 @@ import pytest
 from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, parse_cfg, with_options
 from droptrack.dataset import DataSet
-from droptrack.training_checks import check_for_darknet, check_network, check_pictures
+from droptrack.training_checks import (
+    check_for_darknet,
+    check_for_torch,
+    check_network,
+    check_pictures,
+)
 
 MINI = Path(__file__).parent / "data" / "mini.cfg"
 
@@ -47,6 +52,22 @@ def test_what_is_right_passes(data: DataSet, tmp_path: Path) -> None:
 def test_a_cfg_that_cannot_be_trained(data: DataSet, old: str, new: str, message: str) -> None:
     with pytest.raises(DroptrackError, match=message):
         check_network(cfg(lambda text: text.replace(old, new)), data)
+
+
+@pytest.mark.parametrize(
+    ("where", "line", "message"),
+    [
+        ("[net]", "mosaic=1", r"mini\.cfg:1: mosaic=1 is only for Darknet; set mosaic=0"),
+        ("[net]", "policy=cosine", "policy=cosine is only for Darknet"),
+        ("[yolo]", "iou_loss=ciou", r"mini\.cfg:\d\d: iou_loss=ciou is only for Darknet"),
+        ("[yolo]", "scale_x_y=1.05", r"scale_x_y=1\.05 is only for Darknet"),
+    ],
+)
+def test_what_only_darknet_can_do_is_not_passed_over(where: str, line: str, message: str) -> None:
+    text = MINI.read_text().replace("policy=steps\n", "")
+    with pytest.raises(DroptrackError, match=message):
+        check_for_torch(parse_cfg(text.replace(where, f"{where}\n{line}"), Path("mini.cfg")))
+    check_for_torch(parse_cfg(text.replace(where, f"{where}\nmosaic=0.0"), Path("mini.cfg")))
 
 
 def test_a_cfg_of_other_classes_names_the_filters_it_needs(data: DataSet) -> None:

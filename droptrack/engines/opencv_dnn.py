@@ -46,7 +46,7 @@ class OpenCvDetector:
             np.asarray(output).reshape(len(frames), -1, np.asarray(output).shape[-1])
             for output in self._network.forward(self._outputs)
         ]
-        rows = np.concatenate(heads, axis=1)  # (B, N, 5 + C)
+        rows = np.concatenate(heads, axis=1, dtype=np.float32)  # (B, N, 5 + C)
         # OpenCV has multiplied the probabilities by the objectness, as `select` will
         rows[..., 5:] /= np.maximum(rows[..., 4:5], np.finfo(np.float32).tiny)
         return [

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from data_gen.scenes import HEIGHT, SCENES, WIDTH
 from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.dataset import image_name, label_text, write_data_file
+from droptrack.dataset import image_name, label_text, write_data_file, write_scenes
 
 JPEG_QUALITY = 95
 
@@ -117,6 +117,13 @@ def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, N
             ):
                 done += written
                 yield done
+    kinds = recipe.kinds()
+    scenes = {
+        image_name(split, i): kinds[i % len(kinds)]
+        for split in counts
+        for i in range(counts[split])
+    }
+    write_scenes(folder, scenes)
     write_data_file(folder, ("droplet",), counts)
 
 

@@ -6,6 +6,7 @@ is to be started.
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,6 +110,20 @@ def write_data_file(folder: Path, names: tuple[str, ...], counts: dict[str, int]
     _write_text(folder / "obj.names", "".join(f"{name}\n" for name in names))
     _write_text(folder / "obj.data", "".join(f"{line}\n" for line in lines))
     return folder / "obj.data"
+
+
+def write_scenes(folder: Path, scenes: Mapping[str, str]) -> None:
+    """Write which scene each image shows, by its path relative to the folder, to scenes.txt."""
+    _write_text(folder / "scenes.txt", "".join(f"{n} {scene}\n" for n, scene in scenes.items()))
+
+
+def read_scenes(data: DataSet) -> dict[Path, str]:
+    """The scene of each image, as scenes.txt beside obj.data has it; empty without one."""
+    path = data.path.parent / "scenes.txt"
+    if not path.exists():
+        return {}
+    lines = (line.rpartition(" ") for line in _read_text(path).splitlines())
+    return {path.parent / name: scene for name, _, scene in lines}
 
 
 def image_name(split: str, index: int) -> str:

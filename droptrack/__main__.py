@@ -1,12 +1,13 @@
-"""All commands in one: ``droptrack track``, ``train``, ``evaluate``."""
+"""All commands in one: ``droptrack track``, ``train``, ``evaluate``, ``anchors``."""
 
-from droptrack import evaluate, track, train
+from droptrack import anchors, evaluate, track, train
 from droptrack.command_line import new_app
 
 app = new_app()
 app.command("track")(track.main)
 app.command("train")(train.main)
 app.command("evaluate")(evaluate.main)
+app.command("anchors")(anchors.main)
 
 if __name__ == "__main__":
     app()

@@ -7,6 +7,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from droptrack.drawing import colour_of
 from droptrack.training_log import Step
@@ -55,3 +56,21 @@ def plot_training(path: Path, steps: Sequence[Step]) -> None:
     partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     figure.savefig(partial)
     os.replace(partial, path)
+
+
+def plot_anchors(path: Path, sizes: NDArray[np.float64], anchors: NDArray[np.float64]) -> None:
+    """Sizes (N, 2) px of boxes, as a density, and anchors (K, 2)."""
+    figure = Figure(figsize=(6, 5.5), layout="constrained")
+    axes = figure.subplots()
+    top = 1.05 * float(max(np.quantile(sizes, 0.999), anchors.max()))
+    cells = axes.hexbin(
+        *sizes.T, gridsize=50, extent=(0, top, 0, top), bins="log", mincnt=1, cmap="Blues"
+    )
+    axes.plot(*anchors.T, "o", color="tab:red", markersize=5)
+    for width, height in anchors:
+        axes.annotate(f"{width:g} x {height:g}", (width, height), fontsize=7)
+    axes.set(
+        xlim=(0, top), ylim=(0, top), aspect="equal", xlabel="width / px", ylabel="height / px"
+    )
+    figure.colorbar(cells, label="boxes")
+    figure.savefig(path)

@@ -1,6 +1,5 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
-import contextlib
 import datetime
 import math
 import os
@@ -8,8 +7,10 @@ import signal
 import tempfile
 import time
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -25,7 +26,7 @@ from droptrack.detections import Detections
 from droptrack.detector import decode_head, select
 from droptrack.metrics import average_precision
 from droptrack.torch_data import Augmentation, Batches, DrawPicture, TrainingPictures, collate
-from droptrack.torch_loss import Loss, yolo_loss
+from droptrack.torch_loss import yolo_loss
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training_log import Step, TrainingLog, running_average
 
@@ -38,6 +39,7 @@ class Settings:
 
     iterations: int  # batches in all
     batch: int  # pictures an iteration, over all devices
+    subdivisions: int  # parts that a device's share of a batch is computed in
     optimizer: str  # "sgd": Darknet's, by the cfg; "adamw": less iterations, half a cosine
     learning_rate: float
     window: tuple[int, int] | None  # see Augmentation
@@ -122,13 +124,13 @@ def _train(
 
     iteration = first
     began = time.perf_counter()
-    with TrainingLog(out, first) if rank == 0 else contextlib.nullcontext() as log:
+    with TrainingLog(out, first) if rank == 0 else nullcontext() as log:
         try:
             for iteration, (images, truths) in enumerate(loader, start=first + 1):
                 rate = learning_rate(iteration, cfg, settings)
                 for group in optimizer.param_groups:
                     group["lr"] = rate
-                terms = _step(model, network, optimizer, images, truths, settings.bf16)
+                terms = _step(model, network, optimizer, images, truths, settings)
                 loss, regression, objectness, classes, rewritten, finite = _mean(terms)
                 if log is None:
                     continue
@@ -182,43 +184,57 @@ def _step(
     optimizer: torch.optim.Optimizer,
     images: Tensor,
     truths: Tensor,
-    bf16: bool,
+    settings: Settings,
 ) -> Tensor:
     """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6).
 
-    Returns (6,): the number that Darknet prints as the loss (`Step`), the three parts of the loss,
-    the share of rewritten truths, and 1 if all was finite. If not, no step is made: what is learnt
-    until here stays intact.
+    The batch goes through the network in `subdivisions` parts. Returns (6,): the number that
+    Darknet prints as the loss (`Step`), the three parts of the loss, the share of rewritten truths,
+    and 1 if all was finite. If not, no step is made: what is learnt until here stays intact.
     """
     model.train()
     device = next(network.parameters()).device
-    images, truths = (t.to(device, non_blocking=True) for t in (images, truths))
-    inputs = (images.float() / 255).contiguous(memory_format=torch.channels_last)
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
-        maps = [raw.float() for raw in model(inputs)]
-    for raw in maps:
-        raw.retain_grad()
-    loss = yolo_loss(network.cfg, maps, truths)
     optimizer.zero_grad(set_to_none=True)
-    loss.total.backward()  # type: ignore[no-untyped-call]
+    terms = torch.zeros(5, device=device)
+    for part, last in _parts(images, truths, settings.subdivisions):
+        pixels, boxes = (tensor.to(device, non_blocking=True) for tensor in part)
+        inputs = (pixels.float() / 255).contiguous(memory_format=torch.channels_last)
+        waits = isinstance(model, DistributedDataParallel) and not last
+        with cast(DistributedDataParallel, model).no_sync() if waits else nullcontext():
+            with torch.autocast(device.type, torch.bfloat16, enabled=settings.bf16):
+                maps = [raw.float() for raw in model(inputs)]
+            for raw in maps:
+                raw.retain_grad()
+            loss = yolo_loss(network.cfg, maps, boxes)
+            loss.total.backward()  # type: ignore[no-untyped-call]
+        rewritten = loss.regression.new_tensor(loss.n_rewritten / max(1, loss.n_truths))
+        numbers = [darknet_loss(maps), loss.regression, loss.objectness, loss.classes, rewritten]
+        terms += torch.stack(numbers).detach() / settings.subdivisions
+    for parameter in network.parameters():
+        if parameter.grad is not None:
+            parameter.grad /= settings.subdivisions
     norm = torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
-    finite = torch.isfinite(norm + loss.total)
+    finite = torch.isfinite(norm + terms.sum())
     if finite:
         optimizer.step()
-    return torch.stack([darknet_loss(maps), *_parts(loss), finite.float()]).detach()
+    return torch.cat([terms, finite.float()[None]])
+
+
+def _parts(
+    images: Tensor, truths: Tensor, count: int
+) -> Iterator[tuple[tuple[Tensor, Tensor], bool]]:
+    """Equal parts of a batch, and whether each is the last."""
+    size = len(images) // count
+    for start in range(0, len(images), size):
+        mine = truths[(truths[:, 0] >= start) & (truths[:, 0] < start + size)].clone()
+        mine[:, 0] -= start
+        yield (images[start : start + size], mine), start + size >= len(images)
 
 
 def darknet_loss(maps: Sequence[Tensor]) -> Tensor:
     """What Darknet prints as the loss of maps whose gradients are known."""
     squares = [raw.grad.square().sum() for raw in maps if raw.grad is not None]
     return torch.stack(squares).mean() * len(maps[0])
-
-
-def _parts(loss: Loss) -> list[Tensor]:
-    rewritten = torch.tensor(
-        loss.n_rewritten / max(1, loss.n_truths), device=loss.objectness.device
-    )
-    return [loss.regression, loss.objectness, loss.classes, rewritten]
 
 
 def _mean(terms: Tensor) -> list[float]:
@@ -229,7 +245,7 @@ def _mean(terms: Tensor) -> list[float]:
     return [float(term) for term in terms.tolist()]
 
 
-@contextlib.contextmanager
+@contextmanager
 def _other_ranks(
     settings: Settings,
     cfg: Cfg,
@@ -401,7 +417,7 @@ def machine() -> dict[str, str]:
     return {"trainer": f"PyTorch {torch.__version__} on {device}"}
 
 
-def choose_devices(gpus: str, batch: int) -> tuple[str, ...]:
+def choose_devices(gpus: str, batch: int, subdivisions: int) -> tuple[str, ...]:
     """``0,1`` -> cuda:0, cuda:1; without a choice the first GPU, or the CPU where there is none.
 
     Raises DroptrackError for GPUs that are not there, or that cannot share a batch evenly.
@@ -414,6 +430,9 @@ def choose_devices(gpus: str, batch: int) -> tuple[str, ...]:
         names
     ):
         raise DroptrackError(f"--gpus {gpus}: PyTorch finds {there}, numbered from 0")
-    if batch % len(names):
-        raise DroptrackError(f"--gpus {gpus}: batch={batch} should be a multiple of {len(names)}")
+    if batch % (len(names) * subdivisions):
+        raise DroptrackError(
+            f"--gpus {gpus}: batch={batch} should be a multiple of {len(names)} GPUs times "
+            f"subdivisions={subdivisions}"
+        )
     return tuple(f"cuda:{int(name)}" for name in names)

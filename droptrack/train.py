@@ -71,13 +71,15 @@ def parse_pair(text: str | None, separator: str, option: str) -> tuple[float, fl
     return first, second
 
 
-def effective_cfg(cfg: Cfg, iterations: int, batch: int, rate: float) -> Cfg:
+def effective_cfg(cfg: Cfg, iterations: int, batch: int, subdivisions: int, rate: float) -> Cfg:
     """The cfg with the command's changes; 0 leaves what the cfg says."""
-    changes = {"max_batches": iterations, "batch": batch, "learning_rate": rate}
-    net = {key: f"{value:g}" for key, value in changes.items() if value}
-    if batch and batch % cfg.net.integer("subdivisions", 1):
-        net["subdivisions"] = "1"
-    return with_options(cfg, net, {})
+    changes = {
+        "max_batches": iterations,
+        "batch": batch,
+        "subdivisions": subdivisions,
+        "learning_rate": rate,
+    }
+    return with_options(cfg, {key: f"{value}" for key, value in changes.items() if value}, {})
 
 
 app = new_app()
@@ -99,6 +101,9 @@ def main(
     resume: Annotated[bool, typer.Option(help="Go on from the last snapshot in --out.")] = False,
     iterations: Annotated[int, typer.Option(min=0, help="0: max_batches of the cfg.")] = 0,
     batch: Annotated[int, typer.Option(min=0, help="Pictures an iteration; 0: the cfg's.")] = 0,
+    subdivisions: Annotated[
+        int, typer.Option(min=0, help="Parts of a batch computed one by one; 0: the cfg's.")
+    ] = 0,
     rate: Annotated[float, typer.Option("--learning-rate", min=0, help="0: the cfg's.")] = 0,
     gpus: Annotated[str, typer.Option(help="GPUs to use, e.g. 0,1; default: the first.")] = "",
     save_every: Annotated[int, typer.Option(min=1, help="Iterations a snapshot.")] = 100,
@@ -136,7 +141,7 @@ def main(
     The run folder gets the .cfg as trained, training.csv and training.png, run.json, and the
     weights <cfg>_last, _best and _final; of Darknet also its data file and darknet.log.
     """
-    network = effective_cfg(read_cfg(cfg), iterations, batch, rate)
+    network = effective_cfg(read_cfg(cfg), iterations, batch, subdivisions, rate)
     pictures = read_data_file(data)
     check_network(network, pictures)
     check_pictures(network, pictures)
@@ -179,6 +184,7 @@ def main(
         settings = Settings(
             network.net.integer("max_batches"),
             network.net.integer("batch"),
+            network.net.integer("subdivisions", 1),
             optimizer.value,
             network.net.number("learning_rate"),
             (int(pair[0]), int(pair[1])) if pair else None,
@@ -189,7 +195,9 @@ def main(
             map_every,
             map_images,
             patience,
-            choose_devices(gpus, network.net.integer("batch")),
+            choose_devices(
+                gpus, network.net.integer("batch"), network.net.integer("subdivisions", 1)
+            ),
             precision is Precision.bf16,
         )
         source = _picture_source(draw) if draw else None

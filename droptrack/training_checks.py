@@ -45,6 +45,11 @@ def check_network(cfg: Cfg, data: DataSet) -> None:
         raise DroptrackError(
             f"{cfg.path}:{net.line}: subdivisions={subdivisions} should divide batch={batch}"
         )
+    if net.integer("letter_box", 0):
+        raise DroptrackError(
+            f"{cfg.path}:{net.line}: letter_box=1 trains on pictures with borders, but droptrack "
+            "stretches pictures to the network's size; set letter_box=0"
+        )
     if len(net.numbers("steps", ())) != len(net.numbers("scales", ())):
         raise DroptrackError(f"{cfg.path}:{net.line}: steps= and scales= should be equally many")
     if net.integer("max_batches", 0) < 1:

@@ -244,6 +244,7 @@ def settings(**changes: object) -> Settings:
     options: dict[str, object] = {
         "iterations": 30,
         "batch": 4,
+        "subdivisions": 1,
         "optimizer": "adamw",
         "learning_rate": 0.003,
         "window": None,
@@ -291,27 +292,33 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
     np.testing.assert_allclose(end.values, other.values, rtol=1e-2, atol=1e-3)
 
 
-def test_two_devices_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:
-    """Without batch normalisation, whose statistics are each device's own."""
+def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:
+    """Without batch normalisation, whose statistics are those of what is computed together."""
     text = TINY_TINY.replace("batch_normalize=1", "batch_normalize=0")
     cfg = parse_cfg(text, Path("tt.cfg"))
-    ends = {}
-    for devices in (("cpu",), ("cpu", "cpu")):
-        out = tmp_path / str(len(devices))
+    values, losses = [], []
+    for n, (devices, subdivisions) in enumerate(((1, 1), (1, 2), (2, 1))):
+        out = tmp_path / str(n)
         out.mkdir()
-        how = settings(iterations=6, devices=devices, bf16=False, optimizer="sgd")
+        how = settings(
+            iterations=6,
+            devices=("cpu",) * devices,
+            subdivisions=subdivisions,
+            bf16=False,
+            optimizer="sgd",
+        )
         steps = list(train(cfg, data, out, how, None, resume=False))
-        ends[len(devices)] = read_weights(out / "tt_final.weights", cfg).values
-        assert [step.iteration for step in steps] == list(range(1, 7))
         assert len((out / "training.csv").read_text().splitlines()) == 7
-        ends[-len(devices)] = np.array([step.objectness for step in steps], np.float32)
-    np.testing.assert_allclose(ends[2], ends[1], rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose(ends[-2], ends[-1], rtol=1e-3)
+        values.append(read_weights(out / "tt_final.weights", cfg).values)
+        losses.append([[step.loss, step.objectness] for step in steps])
+    for other in (1, 2):
+        np.testing.assert_allclose(values[other], values[0], rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(losses[other], losses[0], rtol=1e-3)
 
 
 def test_gpus_that_are_not_there_are_named() -> None:
     with pytest.raises(DroptrackError, match=r"--gpus 0,77: PyTorch finds \d+, numbered from 0"):
-        choose_devices("0,77", 8)
+        choose_devices("0,77", 8, 1)
 
 
 def test_training_stops_when_the_map_gets_no_better(data: DataSet, tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ def test_what_is_right_passes(data: DataSet, tmp_path: Path) -> None:
     [
         ("batch=8", "batch=1", r"mini\.cfg:1: batch=1 trains nothing"),
         ("subdivisions=2", "subdivisions=3", r"mini\.cfg:1: subdivisions=3 should divide batch=8"),
+        ("batch=8", "batch=8\nletter_box=1", r"mini\.cfg:1: letter_box=1 .* set letter_box=0"),
         ("scales=.1,.1", "scales=.1", r"mini\.cfg:1: steps= and scales="),
         ("max_batches=310", "", r"mini\.cfg:1: max_batches="),
     ],

@@ -23,7 +23,8 @@ from droptrack.darknet_files import Cfg, cfg_text, read_cfg, with_options
 from droptrack.darknet_train import DarknetTraining
 from droptrack.dataset import read_data_file
 from droptrack.network_choice import SHIPPED
-from droptrack.torch_train import Settings, choose_devices, train
+from droptrack.torch_devices import choose_devices
+from droptrack.torch_train import Job, Settings, train
 from droptrack.training_log import Step
 
 app = new_app()
@@ -92,7 +93,7 @@ def main(
         for bf16 in (False, True):
             out = folder / f"torch-{bf16}"
             out.mkdir()
-            steps = train(network, data, out, replace(how, bf16=bf16), None, resume=False)
+            steps = train(Job(network, data, out, replace(how, bf16=bf16)))
             kept = [next(steps) for _ in range(WARM_UP + 1)]
             before = memory_mb()
             while len(kept) < iterations - 1:  # the last one measures a mAP, too

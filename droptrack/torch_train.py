@@ -1,13 +1,11 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
-import datetime
 import math
 import os
 import signal
-import tempfile
 import time
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -15,7 +13,7 @@ from typing import cast
 import cv2
 import numpy as np
 import torch
-from torch import Tensor, distributed, nn
+from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
@@ -26,6 +24,7 @@ from droptrack.detections import Detections
 from droptrack.detector import decode_head, select
 from droptrack.metrics import average_precision
 from droptrack.torch_data import Augmentation, Batches, DrawPicture, TrainingPictures, collate
+from droptrack.torch_devices import mean_over_ranks, other_ranks
 from droptrack.torch_loss import yolo_loss
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training_log import Step, TrainingLog, running_average
@@ -54,55 +53,59 @@ class Settings:
     bf16: bool  # the network computes in bfloat16; weights, gradients and loss are float32
 
 
-def train(
-    cfg: Cfg,
-    data: DataSet,
-    out: Path,
-    settings: Settings,
-    start: Path | None,
-    resume: bool,
-    draw: DrawPicture | None = None,
-) -> Generator[Step, None, None]:
-    """Train and yield after each iteration; checkpoints and ``.weights`` go into the folder `out`.
+@dataclass(frozen=True)
+class Job:
+    """What to train on what.
 
     `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. `draw`
-    makes the training pictures instead of the data set. Files, by the cfg's stem: ``_last.weights``
-    and ``_checkpoint.pt`` every `save_every` iterations and whenever the training stops,
-    ``_best.weights`` at the best mAP, ``_final.weights`` at the end, ``training.csv`` and
-    ``training.png``. Raises DroptrackError when the loss is no number.
+    makes the training pictures instead of the data set.
     """
-    with _other_ranks(settings, cfg, data, out, start, resume, draw):
-        yield from _train(0, cfg, data, out, settings, start, resume, draw)
+
+    cfg: Cfg
+    data: DataSet
+    out: Path
+    settings: Settings
+    start: Path | None = None
+    resume: bool = False
+    draw: DrawPicture | None = None
 
 
-def _train(
-    rank: int,
-    cfg: Cfg,
-    data: DataSet,
-    out: Path,
-    settings: Settings,
-    start: Path | None,
-    resume: bool,
-    draw: DrawPicture | None,
-) -> Generator[Step, None, None]:
+def train(job: Job) -> Generator[Step, None, None]:
+    """Train and yield after each iteration; all files go into the folder `out` of the job.
+
+    By the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
+    whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end;
+    ``training.csv`` and ``training.png``. Raises DroptrackError when the loss is no number.
+    """
+    with other_ranks(job.settings.devices, job.settings.workers, _train_along, job):
+        yield from _train(job, 0)
+
+
+def _train_along(job: Job, rank: int) -> None:
+    for _ in _train(job, rank):
+        pass
+
+
+def _train(job: Job, rank: int) -> Generator[Step, None, None]:
     """The training loop of one device. Rank 0 also measures, saves and logs."""
+    cfg, data, out, settings = job.cfg, job.data, job.out, job.settings
     torch.manual_seed(settings.seed)
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
     device = torch.device(settings.devices[rank])
     network = DarknetNetwork(cfg).to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    if start is not None:
-        load_values(network, read_weights(start, cfg).values)
+    if job.start is not None:
+        load_values(network, read_weights(job.start, cfg).values)
     optimizer = _optimizer(network, cfg, settings)
     checkpoint = out / f"{cfg.path.stem}_checkpoint.pt"
-    first = _restore(checkpoint, network, optimizer) if resume else 0
+    first = _restore(checkpoint, network, optimizer) if job.resume else 0
     model: nn.Module = network
     if len(settings.devices) > 1:
         model = DistributedDataParallel(network)
 
     augmentation = Augmentation.of(cfg, settings.window, settings.sizes)
     loader = DataLoader(
-        TrainingPictures(data, augmentation, draw),
+        TrainingPictures(data, augmentation, job.draw),
         batch_sampler=Batches(
             len(data.train),
             settings.batch,
@@ -131,7 +134,7 @@ def _train(
                 for group in optimizer.param_groups:
                     group["lr"] = rate
                 terms = _step(model, network, optimizer, images, truths, settings)
-                loss, regression, objectness, classes, rewritten, finite = _mean(terms)
+                loss, regression, objectness, classes, rewritten, finite = mean_over_ranks(terms)
                 if log is None:
                     continue
                 mean_ap = NAN
@@ -237,80 +240,6 @@ def darknet_loss(maps: Sequence[Tensor]) -> Tensor:
     return torch.stack(squares).mean() * len(maps[0])
 
 
-def _mean(terms: Tensor) -> list[float]:
-    """Numbers (N,), averaged over the devices."""
-    if distributed.is_initialized():
-        distributed.all_reduce(terms)
-        terms /= distributed.get_world_size()
-    return [float(term) for term in terms.tolist()]
-
-
-@contextmanager
-def _other_ranks(
-    settings: Settings,
-    cfg: Cfg,
-    data: DataSet,
-    out: Path,
-    start: Path | None,
-    resume: bool,
-    draw: DrawPicture | None,
-) -> Iterator[None]:
-    """Processes for all devices but the first; this process becomes rank 0."""
-    if len(settings.devices) == 1:
-        yield
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        meeting = Path(folder) / "ranks"
-        context = torch.multiprocessing.get_context("spawn")
-        others = [
-            context.Process(
-                target=_run_rank,
-                args=(rank, meeting, cfg, data, out, settings, start, resume, draw),
-                daemon=not settings.workers,  # a daemon may have no workers of its own
-            )
-            for rank in range(1, len(settings.devices))
-        ]
-        for process in others:
-            process.start()
-        try:
-            _join_ranks(0, settings, meeting)
-            yield
-        finally:
-            for process in others:
-                process.join(5)
-                process.terminate()
-                process.join()
-            distributed.destroy_process_group()
-
-
-def _run_rank(
-    rank: int,
-    meeting: Path,
-    cfg: Cfg,
-    data: DataSet,
-    out: Path,
-    settings: Settings,
-    start: Path | None,
-    resume: bool,
-    draw: DrawPicture | None,
-) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is rank 0's to handle
-    _join_ranks(rank, settings, meeting)
-    for _ in _train(rank, cfg, data, out, settings, start, resume, draw):
-        pass
-    distributed.destroy_process_group()
-
-
-def _join_ranks(rank: int, settings: Settings, meeting: Path) -> None:
-    distributed.init_process_group(
-        "nccl" if settings.devices[rank].startswith("cuda") else "gloo",
-        init_method=meeting.as_uri(),
-        rank=rank,
-        world_size=len(settings.devices),
-        timeout=datetime.timedelta(hours=2),  # rank 0 measures the mAP alone
-    )
-
-
 def learning_rate(iteration: int, cfg: Cfg, settings: Settings) -> float:
     """The rate of an iteration (from 1).
 
@@ -409,30 +338,3 @@ def _restore(path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimiz
         reason = str(error).splitlines()[0]
         raise DroptrackError(f"{path}: is no checkpoint of this network: {reason}") from None
     return int(state["iteration"])
-
-
-def machine() -> dict[str, str]:
-    """What trains, for the run file."""
-    device = torch.cuda.get_device_name() if torch.cuda.is_available() else "the CPU"
-    return {"trainer": f"PyTorch {torch.__version__} on {device}"}
-
-
-def choose_devices(gpus: str, batch: int, subdivisions: int) -> tuple[str, ...]:
-    """``0,1`` -> cuda:0, cuda:1; without a choice the first GPU, or the CPU where there is none.
-
-    Raises DroptrackError for GPUs that are not there, or that cannot share a batch evenly.
-    """
-    there = torch.cuda.device_count()
-    if not gpus:
-        return ("cuda:0",) if there else ("cpu",)
-    names = [name.strip() for name in gpus.split(",")]
-    if not all(name.isdigit() and int(name) < there for name in names) or len(set(names)) < len(
-        names
-    ):
-        raise DroptrackError(f"--gpus {gpus}: PyTorch finds {there}, numbered from 0")
-    if batch % (len(names) * subdivisions):
-        raise DroptrackError(
-            f"--gpus {gpus}: batch={batch} should be a multiple of {len(names)} GPUs times "
-            f"subdivisions={subdivisions}"
-        )
-    return tuple(f"cuda:{int(name)}" for name in names)

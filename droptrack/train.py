@@ -175,7 +175,8 @@ def main(
                 "found no Darknet (--darknet, $DARKNET, PATH), and no PyTorch: "
                 "pip install 'droptrack[train]'"
             )
-        from droptrack.torch_train import Settings, choose_devices, machine, train
+        from droptrack.torch_devices import choose_devices, machine
+        from droptrack.torch_train import Job, Settings, train
 
         check_for_torch(network)
         pair = parse_pair(window, "x", "--window")
@@ -203,7 +204,7 @@ def main(
         source = _picture_source(draw) if draw else None
         network = _run_folder(out, network, resume)
         about = {**machine(), **asdict(settings)}
-        steps = train(network, pictures, out, settings, weights, resume, source)
+        steps = train(Job(network, pictures, out, settings, weights, resume, source))
     write_run_file(out, about)
     best = _show(steps, network, about)
     typer.echo(f"{out}: best mAP@0.50 {best:.4f}; weights {network.path.stem}_best and _final")

@@ -30,11 +30,12 @@ from droptrack.dataset import DataSet, read_data_file  # noqa: E402
 from droptrack.detections import iou_matrix  # noqa: E402
 from droptrack.detector import decode_head  # noqa: E402
 from droptrack.torch_data import Augmentation, Batches, augment  # noqa: E402
+from droptrack.torch_devices import choose_devices  # noqa: E402
 from droptrack.torch_loss import yolo_loss  # noqa: E402
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values  # noqa: E402
 from droptrack.torch_train import (  # noqa: E402
+    Job,
     Settings,
-    choose_devices,
     darknet_loss,
     learning_rate,
     train,
@@ -265,7 +266,7 @@ def test_training_lowers_the_loss_and_leaves_weights_that_load(
     data: DataSet, tmp_path: Path
 ) -> None:
     cfg = parse_cfg(TINY_TINY, tmp_path / "tt.cfg")
-    steps = list(train(cfg, data, tmp_path, settings(iterations=60), None, resume=False))
+    steps = list(train(Job(cfg, data, tmp_path, settings(iterations=60))))
     losses = [step.loss for step in steps]
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
     assert read_weights(tmp_path / "tt_final.weights", cfg).seen == 60 * 4
@@ -280,12 +281,12 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
     (tmp_path / "whole").mkdir()
     (tmp_path / "cut").mkdir()
     cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
-    whole = list(train(cfg, data, tmp_path / "whole", settings(), None, resume=False))
-    training = train(cfg, data, tmp_path / "cut", settings(), None, resume=False)
+    whole = list(train(Job(cfg, data, tmp_path / "whole", settings())))
+    training = train(Job(cfg, data, tmp_path / "cut", settings()))
     for _ in range(12):
         next(training)
     training.close()  # as Ctrl-C does
-    rest = list(train(cfg, data, tmp_path / "cut", settings(), None, resume=True))
+    rest = list(train(Job(cfg, data, tmp_path / "cut", settings(), resume=True)))
     assert [step.iteration for step in rest] == list(range(13, 31))
     np.testing.assert_allclose([s.loss for s in rest], [s.loss for s in whole[12:]], rtol=1e-3)
     end, other = (read_weights(tmp_path / n / "tt_final.weights", cfg) for n in ("whole", "cut"))
@@ -307,7 +308,7 @@ def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: 
             bf16=False,
             optimizer="sgd",
         )
-        steps = list(train(cfg, data, out, how, None, resume=False))
+        steps = list(train(Job(cfg, data, out, how)))
         assert len((out / "training.csv").read_text().splitlines()) == 7
         values.append(read_weights(out / "tt_final.weights", cfg).values)
         losses.append([[step.loss, step.objectness] for step in steps])
@@ -325,7 +326,7 @@ def test_training_stops_when_the_map_gets_no_better(data: DataSet, tmp_path: Pat
     """At a rate of nothing the second mAP equals the first."""
     cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
     idle = settings(learning_rate=0.0, map_every=3, patience=1)
-    steps = list(train(cfg, data, tmp_path, idle, None, resume=False))
+    steps = list(train(Job(cfg, data, tmp_path, idle)))
     assert steps[-1].iteration == 6
     assert read_weights(tmp_path / "tt_final.weights", cfg).seen == 6 * 4
 
@@ -343,13 +344,13 @@ def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
         drawn.append(boxes)
         return image, boxes
 
-    training = train(cfg, data, tmp_path, settings(), None, resume=False, draw=draw)
+    training = train(Job(cfg, data, tmp_path, settings(), draw=draw))
     for _ in range(4):
         next(training)
     training.close()
     assert len(drawn) == 4 * 4
     assert len({boxes.tobytes() for boxes in drawn}) == 16
-    list(train(cfg, data, tmp_path, settings(iterations=6), None, resume=True, draw=draw))
+    list(train(Job(cfg, data, tmp_path, settings(iterations=6), resume=True, draw=draw)))
     assert len({boxes.tobytes() for boxes in drawn}) == 24  # none of the first 16 again
     with pytest.raises(DroptrackError, match="no scene nought; there are a, b"):
         picture_source("nought")
@@ -358,7 +359,7 @@ def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
 def test_training_holds_on_to_no_tensors(data: DataSet, tmp_path: Path) -> None:
     cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
     counts = []
-    for step in train(cfg, data, tmp_path, settings(iterations=25), None, resume=False):
+    for step in train(Job(cfg, data, tmp_path, settings(iterations=25))):
         gc.collect()
         if step.iteration in (5, 25):
             counts.append(sum(issubclass(type(item), torch.Tensor) for item in gc.get_objects()))
@@ -369,7 +370,7 @@ def test_a_loss_that_is_no_number_stops_the_training(data: DataSet, tmp_path: Pa
     cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
     wild = settings(optimizer="sgd", learning_rate=1e12)
     with pytest.raises(DroptrackError, match="no number any more at iteration"):
-        list(train(cfg, data, tmp_path, wild, None, resume=False))
+        list(train(Job(cfg, data, tmp_path, wild)))
 
 
 def test_a_label_of_a_class_that_is_not_there_is_named(data: DataSet, tmp_path: Path) -> None:
@@ -379,7 +380,7 @@ def test_a_label_of_a_class_that_is_not_there_is_named(data: DataSet, tmp_path: 
     cfg = parse_cfg(TINY_TINY, Path("tt.cfg"))
     wrong = replace(data, train=(image,))
     with pytest.raises(DroptrackError, match=r"0\.txt: has class 1, but the data set 1 classes"):
-        list(train(cfg, wrong, tmp_path, settings(), None, resume=False))
+        list(train(Job(cfg, wrong, tmp_path, settings())))
 
 
 def test_darknets_rate_burns_in_with_the_fourth_power_and_falls_in_steps() -> None:

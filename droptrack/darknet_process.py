@@ -83,5 +83,5 @@ def last_words(log: Path) -> str:
         file.seek(max(0, log.stat().st_size - 8192))
         text = ESCAPES.sub("", file.read().decode("utf-8", errors="replace")).replace("\r", "\n")
     lines = [line.strip(" *\x07") for line in text.splitlines() if line.strip(" *\x07")]
-    complaints = [line for line in lines[-40:] if COMPLAINT.search(line)]
+    complaints = [line for line in lines if COMPLAINT.search(line)]
     return (complaints or lines or ["nothing"])[-1]

@@ -1,6 +1,7 @@
 """Command: train a network, ``python -m droptrack.train``."""
 
 import os
+import signal
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import asdict
 from enum import StrEnum
@@ -245,6 +246,7 @@ def _show(steps: Generator[Step, None, None], network: Cfg, about: Mapping[str, 
     out, total = network.path.parent, network.net.integer("max_batches")
     typer.echo(f"{out}: training with {about['trainer']}", err=True)
     best = last = float("nan")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends it may go on, too
     with progress_bar("iterations") as progress:
         task = progress.add_task(network.path.stem, total=total, note="")
         try:

@@ -243,8 +243,9 @@ def test_training_stops_when_the_map_gets_no_better(
     assert read_log(tmp_path / "run" / "training.csv")[-1].iteration == 300
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_stops_darknet_and_leaves_a_run_to_resume(
-    darknet: FakeDarknet, data: Path, tmp_path: Path
+    number: signal.Signals, darknet: FakeDarknet, data: Path, tmp_path: Path
 ) -> None:
     darknet.will("alexeyab", "hang")
     out = tmp_path / "run"
@@ -256,7 +257,7 @@ def test_ctrl_c_stops_darknet_and_leaves_a_run_to_resume(
             if steps and steps[-1].iteration == 201:
                 break
             time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "stopped; --resume goes on from iteration 200" in errors

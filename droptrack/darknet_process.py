@@ -62,8 +62,9 @@ class DarknetProcess:
     def answer(self, text: str) -> None:
         """Write a line to its stdin."""
         if self.popen.stdin is not None:
-            self.popen.stdin.write(text.encode() + b"\n")
-            self.popen.stdin.flush()
+            with contextlib.suppress(BrokenPipeError):  # it has ended in the meantime
+                self.popen.stdin.write(text.encode() + b"\n")
+                self.popen.stdin.flush()
 
     def stop(self) -> None:
         """End it and all it started, by force if it does not end when asked to."""

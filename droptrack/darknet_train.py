@@ -100,11 +100,8 @@ class DarknetTraining:
                         break
                     case Iteration() if iteration < event.iteration <= self.iterations:
                         step = _step(event, rewritten, now - began)
-                        iteration, began, next_map = (
-                            event.iteration,
-                            now,
-                            event.next_map or next_map,
-                        )
+                        iteration, began = event.iteration, now
+                        next_map = event.next_map or next_map
                         log.append(step)
                         self._check_loss(step)
                         yield step
@@ -113,7 +110,7 @@ class DarknetTraining:
                                 scorer.begin(snapshot)
                             snapshot = None
                         mean_ap = scorer.result()
-                    case MeanAp():
+                    case MeanAp() if iteration > first:
                         next_map, mean_ap = 0, (iteration, event.value)
                     case NextMap():
                         next_map = event.iteration

@@ -40,6 +40,7 @@ from droptrack.torch_train import (  # noqa: E402
     learning_rate,
     train,
 )
+from droptrack.validation import darknet_detector  # noqa: E402
 
 CFG_FOLDER = Path(__file__).parent.parent / "darknet_cfg"
 
@@ -131,6 +132,29 @@ def test_outputs_are_those_of_opencv(name: str, size: tuple[int, int], tmp_path:
         other = np.lexsort((sure[:, 2], sure[:, 1], sure[:, 0]))
         assert len(rows) == len(sure) >= 45
         np.testing.assert_allclose(rows[order, :5], sure[other, :5], rtol=2e-3, atol=1e-4)
+
+
+def test_a_score_is_objectness_times_class_probability(tmp_path: Path) -> None:
+    """Through OpenCV, against the network's own maps."""
+    cfg = read_cfg(Path(__file__).parent / "data" / "mini.cfg")
+    rng = np.random.default_rng(8)
+    values, path = random_weights(cfg, rng), tmp_path / "random.weights"
+    write_weights(path, Weights(WEIGHTS_VERSION, 0, values))
+    picture = rng.integers(0, 256, (cfg.height, cfg.width, 3), np.uint8)
+    (found,) = darknet_detector(cfg, path).detect([picture])
+
+    network = DarknetNetwork(cfg)
+    load_values(network, values)
+    network.eval()
+    inputs = torch.from_numpy(picture[..., ::-1].copy()).permute(2, 0, 1)[None] / 255
+    with torch.no_grad():
+        (raw,) = network(inputs)
+    chances = raw[0].sigmoid()
+    scores = (chances[:, 4] * chances[:, 5]).numpy().ravel()
+    assert len(found) > 20
+    nearest = np.abs(found.scores[:, None] - scores[None]).min(axis=1)
+    assert nearest.max() < 1e-4
+    assert found.scores.max() == pytest.approx(scores.max(), abs=1e-4)
 
 
 def test_weights_loaded_and_dumped_are_the_same_bytes(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ def main() -> None:
     assert sys.argv[1:5] == ["detector", "train", "obj.data", sys.argv[4]]
     assert Path("obj.data").exists()
     assert ("-nocolour" in sys.argv) == hank
+    Path("pid").write_text(str(os.getpid()))
     with_map, iteration = "-map" in sys.argv, 0
     if sys.argv[5].endswith(".weights") and "-clear" not in sys.argv:
         iteration = struct.unpack_from("<Q", Path(sys.argv[5]).read_bytes(), 12)[0] // int(batch)

@@ -235,6 +235,8 @@ def _run_folder(out: Path, network: Cfg, resume: bool) -> Cfg:
     """Make the run folder, never over another; returns the cfg as it lies there."""
     if out.exists() and any(out.iterdir()) and not resume:
         raise DroptrackError(f"{out}: is not empty; choose another --out, or go on with --resume")
+    if resume and not out.exists():
+        raise DroptrackError(f"{out}: is not there to go on with; start without --resume")
     out.mkdir(parents=True, exist_ok=True)
     path = out / network.path.name
     path.write_text(cfg_text(network), encoding="utf-8")

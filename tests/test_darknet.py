@@ -160,6 +160,7 @@ def test_a_darknet_that_dies_is_resumed_from_its_last_snapshot(
 ) -> None:
     out = tmp_path / "run"
     darknet.will(fork, "killed")
+    assert "is not there to go on with" in train(darknet, data, out, "--resume")[1]
     code, output = train(darknet, data, out)
     assert code == 1
     assert "ended with code 1 after iteration 201 of 310; its last words: 'CUDA Error" in output

@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 SEED ?= 0
+ARGS ?= # more options for a training: make train ARGS=--resume
 
 .PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
 
@@ -38,18 +39,19 @@ dataset: setup
 
 train-tiny: dev dataset
 	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3-tiny.cfg \
-		--data datasets/tiny/obj.data --out runs/yolov3-tiny
+		--data datasets/tiny/obj.data --out runs/yolov3-tiny $(ARGS)
 
 train: dev dataset
 	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3.cfg \
-		--data datasets/full/obj.data --out runs/yolov3
+		--data datasets/full/obj.data --out runs/yolov3 $(ARGS)
 
 # the network that ships: docs/training.md
 train-droplets: dev
 	$(BIN)/python -m data_gen.make_dataset --scene all --images 24000 --seed 11 --out datasets/all
 	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3-tiny-droplets.cfg \
 		--data datasets/all/obj.data --out runs/droplets --optimizer adamw \
-		--learning-rate 0.001 --window 416x224 --sizes 0.56,1.04 --batch 16 --iterations 9000
+		--learning-rate 0.001 --window 416x224 --sizes 0.56,1.04 --batch 16 --subdivisions 1 \
+		--iterations 9000 $(ARGS)
 
 # what int8 needs, again after every training
 calibrate: dev
@@ -64,6 +66,7 @@ bench: dev
 	$(BIN)/python -m bench.simulations
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt deep-sort-realtime
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers
+	$(BIN)/python -m bench.training
 
 check: dev
 	$(BIN)/ruff format --check

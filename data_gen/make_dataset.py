@@ -1,9 +1,10 @@
 """Command: a Darknet data set of synthetic pictures, ``python -m data_gen.make_dataset``."""
 
+import functools
 import json
 import multiprocessing
 import os
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -12,11 +13,12 @@ from typing import Annotated
 import cv2
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from data_gen.scenes import HEIGHT, SCENES, WIDTH
 from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.dataset import image_name, label_text, write_data_file
+from droptrack.dataset import image_name, label_text, write_data_file, write_scenes
 
 JPEG_QUALITY = 95
 
@@ -68,6 +70,25 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     os.replace(partial, path.with_suffix(".txt"))
 
 
+def picture_source(
+    scene: str,
+) -> Callable[[np.random.Generator], tuple[NDArray[np.uint8], NDArray[np.float64]]]:
+    """What draws pictures (H, W, 3) and boxes (N, 4) px of a scene or mixture, for training.
+
+    Raises DroptrackError for a scene that is not there.
+    """
+    if scene not in list(SceneChoice):
+        raise DroptrackError(f"no scene {scene}; there are {', '.join(SceneChoice)}")
+    return functools.partial(_draw_picture, MIXTURES.get(scene, scene))
+
+
+def _draw_picture(
+    kinds: str, rng: np.random.Generator
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    scene = SCENES[kinds[rng.integers(len(kinds))]](rng)
+    return np.repeat(scene.image[..., None], 3, axis=2), scene.boxes
+
+
 def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, None, None]:
     """Write what is missing of a data set; yields the number of images that are there, as it grows.
 
@@ -96,6 +117,13 @@ def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, N
             ):
                 done += written
                 yield done
+    kinds = recipe.kinds()
+    scenes = {
+        image_name(split, i): kinds[i % len(kinds)]
+        for split in counts
+        for i in range(counts[split])
+    }
+    write_scenes(folder, scenes)
     write_data_file(folder, ("droplet",), counts)
 
 

@@ -6,6 +6,7 @@ is to be started.
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,17 +65,21 @@ def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Class ids (N,) and relative boxes (N, 4) of an image's objects, from the file beside it."""
     path = image.with_suffix(".txt")
     text = _read_text(path)
-    try:
-        rows = np.array([line.split() for line in text.splitlines() if line.strip()], float)
-    except ValueError:
-        raise DroptrackError(f"{path}: each line should be: class x y width height") from None
-    rows = rows.reshape(-1, 5) if rows.size == 0 else rows
-    if rows.ndim != 2 or rows.shape[1] != 5:
-        raise DroptrackError(f"{path}: each line should be: class x y width height")
-    if len(rows) and not ((rows[:, 1:] >= 0) & (rows[:, 1:] <= 1)).all():
-        row = int(np.flatnonzero(~((rows[:, 1:] >= 0) & (rows[:, 1:] <= 1)).all(axis=1))[0])
-        raise DroptrackError(f"{path}:{row + 1}: coordinates should lie between 0 and 1")
-    return rows[:, 0].astype(np.int64), rows[:, 1:]
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            row = [float(part) for part in line.split()]
+        except ValueError:
+            row = []
+        if len(row) != 5:
+            raise DroptrackError(f"{path}:{number}: each line should be: class x y width height")
+        if not all(0 <= value <= 1 for value in row[1:]):
+            raise DroptrackError(f"{path}:{number}: coordinates should lie between 0 and 1")
+        rows.append(row)
+    table = np.array(rows).reshape(-1, 5)
+    return table[:, 0].astype(np.int64), table[:, 1:]
 
 
 def read_truth(image: Path, width: int, height: int) -> Detections:
@@ -105,6 +110,20 @@ def write_data_file(folder: Path, names: tuple[str, ...], counts: dict[str, int]
     _write_text(folder / "obj.names", "".join(f"{name}\n" for name in names))
     _write_text(folder / "obj.data", "".join(f"{line}\n" for line in lines))
     return folder / "obj.data"
+
+
+def write_scenes(folder: Path, scenes: Mapping[str, str]) -> None:
+    """Write which scene each image shows, by its path relative to the folder, to scenes.txt."""
+    _write_text(folder / "scenes.txt", "".join(f"{n} {scene}\n" for n, scene in scenes.items()))
+
+
+def read_scenes(data: DataSet) -> dict[Path, str]:
+    """The scene of each image, as scenes.txt beside obj.data has it; empty without one."""
+    path = data.path.parent / "scenes.txt"
+    if not path.exists():
+        return {}
+    lines = (line.rpartition(" ") for line in _read_text(path).splitlines())
+    return {path.parent / name: scene for name, _, scene in lines}
 
 
 def image_name(split: str, index: int) -> str:

@@ -1,17 +1,31 @@
-"""Command: compare trajectories with the truth, ``python -m droptrack.evaluate``."""
+"""Command: how good trajectories or a network are, ``python -m droptrack.evaluate``."""
 
+import hashlib
 import re
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 
-from droptrack.command_line import new_app, one_line_errors
+from droptrack import DroptrackError
+from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.darknet_files import Cfg, read_cfg
+from droptrack.dataset import DataSet, read_data_file, read_scenes
+from droptrack.detector import Detector
+from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
 from droptrack.report import Report, Value
 from droptrack.track_metrics import DropletScore, match, score_droplets
 from droptrack.trajectories import Trajectories, read_trajectories
+from droptrack.validation import (
+    LEAST_SCORE,
+    MAX_IOU,
+    darknet_detector,
+    detect_images,
+    network_report,
+)
 
 MSE_NAMES = [field.name for field in fields(DropletScore) if field.name.startswith("mse")]
 
@@ -59,28 +73,80 @@ def height_of(*abouts: dict[str, str]) -> float:
     return float("nan")
 
 
+def evaluate_network(
+    data: DataSet, cfg: Cfg, weights: Path, images: int, detector: Detector
+) -> Report:
+    """How good weights are on the first `images` validation images of a data set; 0: on all."""
+    listing = data.valid[:images] if images else data.valid
+    pairs = {}
+    with progress_bar("images") as progress:
+        task = progress.add_task(weights.name, total=len(listing), note="")
+        for path, pair in zip(listing, detect_images(detector, listing), strict=True):
+            pairs[path] = pair
+            progress.advance(task)
+    report = network_report(pairs, read_scenes(data))
+    settings: dict[str, Value] = {
+        "network": f"{cfg.path}, {weights}",
+        "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
+        "data": str(data.path),
+        "engine": detector.engine.name,
+        "least_score": LEAST_SCORE,
+        "max_iou": MAX_IOU,
+        "score_of_precision_recall_f1_iou": 0.25,
+    }
+    return replace(report, settings=settings)
+
+
 app = new_app()
 
 
 @app.command()
 @one_line_errors
 def main(
-    truth: Annotated[Path, typer.Argument(metavar="TRUTH.csv", help="What is known.")],
+    truth: Annotated[
+        Path | None, typer.Argument(metavar="TRUTH.csv", help="What is known.")
+    ] = None,
     trajectories: Annotated[
-        Path, typer.Argument(metavar="TRAJECTORIES.csv", help="What was found.")
-    ],
+        Path | None, typer.Argument(metavar="TRAJECTORIES.csv", help="What was found.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Instead: a data set (obj.data) to try weights on.")
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="With --data; without, the network that ships.")
+    ] = None,
+    cfg: Annotated[
+        Path | None, typer.Option(help="With --data: their .cfg; without, by the weights' name.")
+    ] = None,
+    images: Annotated[
+        int, typer.Option(min=0, help="With --data: only so many validation images; 0: all.")
+    ] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the report here too.")] = None,
 ) -> None:
-    """Compare trajectories with the truth: errors, identity switches, missed and false ones."""
-    expected, about_truth = read_trajectories(truth)
-    found, about = read_trajectories(trajectories)
-    report = evaluate(expected, found, height_of(about_truth, about))
-    others = [name for name in MSE_NAMES if not name.endswith("_px2")]
-    report.print(without=others)
+    """Compare trajectories with the truth, or a network's detections with a data set's labels.
+
+    Of trajectories: errors, identity switches, missed and false ones. Of a network: mAP@0.50 as
+    Darknet computes it, precision, recall, F1 and mean overlap above a score of 0.25, COCO's AP.
+    """
+    if data is not None and truth is None:
+        weights = weights or SHIPPED_WEIGHTS
+        network, pictures = read_cfg(cfg or find_cfg(weights)), read_data_file(data)
+        detector = darknet_detector(network, weights)
+        report = evaluate_network(pictures, network, weights, images, detector)
+        report.print()
+        if find_spec("hotcoco") is None:
+            typer.echo("COCO's AP needs hotcoco: pip install 'droptrack[train]'", err=True)
+    elif data is None and truth is not None and trajectories is not None:
+        expected, about_truth = read_trajectories(truth)
+        found, about = read_trajectories(trajectories)
+        report = evaluate(expected, found, height_of(about_truth, about))
+        report.print(without=[name for name in MSE_NAMES if not name.endswith("_px2")])
+        if json is None:
+            typer.echo("each droplet's errors in all units: --json FILE")
+    else:
+        raise DroptrackError("give TRUTH.csv and TRAJECTORIES.csv, or --data obj.data")
     if json is not None:
         report.write_json(json)
-    else:
-        typer.echo("each droplet's errors in all units: --json FILE")
 
 
 if __name__ == "__main__":

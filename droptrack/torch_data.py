@@ -1,7 +1,8 @@
 """Pictures of a Darknet data set -> augmented batches for training."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from droptrack.darknet_files import Cfg
 from droptrack.dataset import DataSet, read_image, read_labels
 
 Sample = tuple[Tensor, Tensor]  # image (3, H, W) uint8 RGB; truths (N, 5) class, relative box
+# makes a picture (H, W, 3) uint8 BGR and the boxes (N, 4) px of the droplets in it
+DrawPicture = Callable[[np.random.Generator], tuple[NDArray[np.uint8], NDArray[np.float64]]]
 
 
 @dataclass(frozen=True)
@@ -57,10 +60,13 @@ class Augmentation:
 
 
 class TrainingPictures(Dataset[Sample]):
-    """Augmented training pictures. An item is asked for by (index, seed, factor on the size)."""
+    """Augmented training pictures. An item is asked for by (index, seed, factor on the size).
 
-    def __init__(self, data: DataSet, augmentation: Augmentation, n_classes: int) -> None:
-        self.data, self.augmentation, self.n_classes = data, augmentation, n_classes
+    With `draw`, a picture is drawn afresh from the seed each time, whatever the index.
+    """
+
+    def __init__(self, data: DataSet, augmentation: Augmentation, draw: DrawPicture | None) -> None:
+        self.data, self.augmentation, self.draw = data, augmentation, draw
 
     def __len__(self) -> int:
         return len(self.data.train)
@@ -68,15 +74,24 @@ class TrainingPictures(Dataset[Sample]):
     def __getitem__(self, wanted: tuple[int, int, float]) -> Sample:
         index, seed, factor = wanted
         rng = np.random.default_rng(seed)
-        path = self.data.train[index]
+        if self.draw is None:
+            image, class_ids, boxes = self._read(self.data.train[index])
+        else:
+            image, boxes_px = self.draw(rng)
+            class_ids = np.zeros(len(boxes_px), np.int64)
+            boxes = boxes_px / np.tile(image.shape[1::-1], 2)
+        picture, truths = augment(rng, image, class_ids, boxes, self.augmentation, factor)
+        return torch.from_numpy(picture).permute(2, 0, 1), torch.from_numpy(truths)
+
+    def _read(self, path: Path) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64]]:
         class_ids, boxes = read_labels(path)
-        if (class_ids >= self.n_classes).any():
+        n_classes = len(self.data.names)
+        if (class_ids >= n_classes).any():
             raise DroptrackError(
                 f"{path.with_suffix('.txt')}: has class {class_ids.max()}, but the data set "
-                f"{self.n_classes} classes, counted from 0"
+                f"{n_classes} classes, counted from 0"
             )
-        image, truths = augment(rng, read_image(path), class_ids, boxes, self.augmentation, factor)
-        return torch.from_numpy(image).permute(2, 0, 1), torch.from_numpy(truths)
+        return read_image(path), class_ids, boxes
 
 
 def augment(
@@ -144,19 +159,28 @@ def _recolour(
 class Batches(Sampler[list[tuple[int, int, float]]]):
     """What each batch from iteration `start` to `stop` consists of; depends on `seed` only.
 
-    Every picture is used once before any is used again.
+    Every picture is used once before any is used again. With `share` (rank, count), every count-th
+    picture of each batch from the rank-th on.
     """
 
     def __init__(
-        self, n: int, batch: int, start: int, stop: int, seed: int, random: tuple[float, float]
+        self,
+        n: int,
+        batch: int,
+        start: int,
+        stop: int,
+        seed: int,
+        random: tuple[float, float],
+        share: tuple[int, int] = (0, 1),
     ) -> None:
         self.n, self.batch, self.start, self.stop = n, batch, start, stop
-        self.seed, self.random = seed, random
+        self.seed, self.random, self.share = seed, random, share
 
     def __len__(self) -> int:
         return self.stop - self.start
 
     def __iter__(self) -> Iterator[list[tuple[int, int, float]]]:
+        rank, count = self.share
         for iteration in range(self.start, self.stop):
             rng = np.random.default_rng([self.seed, iteration])
             low, high = self.random
@@ -165,7 +189,7 @@ class Batches(Sampler[list[tuple[int, int, float]]]):
             seeds = rng.integers(0, 2**62, self.batch)
             yield [
                 (self._index(int(place)), int(seed), factor)
-                for place, seed in zip(places, seeds, strict=True)
+                for place, seed in zip(places[rank::count], seeds[rank::count], strict=True)
             ]
 
     def _index(self, place: int) -> int:

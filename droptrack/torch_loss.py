@@ -3,7 +3,8 @@
 Darknet writes down gradients, not a loss. They are those of binary cross-entropy for x, y,
 objectness and class, and of half the squared error for the logarithms of width and height. For each
 truth, the anchor (of all heads) whose shape overlaps it best answers, in the cell of its centre.
-Predictions that overlap some truth by more than ``ignore_thresh`` are not punished for being there.
+Predictions that overlap some truth by more than ``ignore_thresh`` are not punished for being there;
+those that overlap one by more than ``truth_thresh`` answer for it, too.
 """
 
 from dataclasses import dataclass
@@ -30,16 +31,6 @@ class Loss:
         """What is minimised."""
         return self.regression + self.objectness + self.classes
 
-    def detached(self) -> "Loss":
-        """The same numbers without their history."""
-        return Loss(
-            self.regression.detach(),
-            self.objectness.detach(),
-            self.classes.detach(),
-            self.n_truths,
-            self.n_rewritten,
-        )
-
 
 def yolo_loss(cfg: Cfg, maps: list[Tensor], truths: Tensor) -> Loss:
     """The loss of raw maps, one per head (B, A, 5 + C, rows, columns), against a batch's truths.
@@ -57,6 +48,7 @@ def yolo_loss(cfg: Cfg, maps: list[Tensor], truths: Tensor) -> Loss:
             raw.float(),
             truths,
             layer.number("ignore_thresh", 0.5),
+            layer.number("truth_thresh", 1.0),
             layer.number("iou_normalizer", 0.75),
         )
         parts = parts + losses / batch
@@ -65,16 +57,27 @@ def yolo_loss(cfg: Cfg, maps: list[Tensor], truths: Tensor) -> Loss:
 
 
 def _head_loss(
-    head: YoloHead, raw: Tensor, truths: Tensor, ignore_thresh: float, iou_normalizer: float
+    head: YoloHead,
+    raw: Tensor,
+    truths: Tensor,
+    ignore_thresh: float,
+    truth_thresh: float,
+    iou_normalizer: float,
 ) -> tuple[Tensor, int]:
     rows, columns = raw.shape[3:]
     size = torch.tensor([columns, rows], device=raw.device) * head.stride  # of the input, px
     raw = raw.permute(0, 1, 3, 4, 2)  # (B, A, rows, columns, 5 + C)
+    anchors = torch.as_tensor(head.anchors, dtype=raw.dtype, device=raw.device)
 
     image, cell_x, cell_y, anchor, rows_of_truths = _assign(head, truths, size)
+    overlap, row_of_best = _overlaps(raw, anchors, size, truths)
+    if truth_thresh < 1:
+        good = torch.nonzero(overlap > truth_thresh, as_tuple=True)  # image, anchor, y, x
+        image, cell_x = torch.cat([image, good[0]]), torch.cat([cell_x, good[3]])
+        cell_y, anchor = torch.cat([cell_y, good[2]]), torch.cat([anchor, good[1]])
+        rows_of_truths = torch.cat([rows_of_truths, row_of_best[good]])
     mine = truths[rows_of_truths]
     answer = raw[image, anchor, cell_y, cell_x]  # (M, 5 + C)
-    anchors = torch.as_tensor(head.anchors, dtype=raw.dtype, device=raw.device)
 
     frac = mine[:, 2:4] * (size / head.stride) - torch.stack([cell_x, cell_y], 1)
     logs = torch.log(mine[:, 4:] * size / anchors[anchor])
@@ -85,7 +88,8 @@ def _head_loss(
 
     target = torch.zeros_like(raw[..., 4])
     target[image, anchor, cell_y, cell_x] = 1
-    counted = ~_ignored(raw, anchors, size, truths, ignore_thresh) | (target > 0)
+    sure = (raw[..., 5:].sigmoid() > 0.25).any(dim=-1)
+    counted = ~((overlap > ignore_thresh) & sure) | (target > 0)
     objectness = functional.binary_cross_entropy_with_logits(
         raw[..., 4], target, weight=counted.to(raw.dtype), reduction="sum"
     )
@@ -117,10 +121,8 @@ def _assign(
 
 
 @torch.no_grad()
-def _ignored(
-    raw: Tensor, anchors: Tensor, size: Tensor, truths: Tensor, ignore_thresh: float
-) -> Tensor:
-    """Predictions (B, A, rows, columns) that overlap a truth well enough not to be called false."""
+def _overlaps(raw: Tensor, anchors: Tensor, size: Tensor, truths: Tensor) -> tuple[Tensor, Tensor]:
+    """Of predictions (B, A, rows, columns): the best overlap with a truth, and that truth's row."""
     batch, _, rows, columns = raw.shape[:4]
     cells = torch.stack(
         torch.meshgrid(
@@ -133,21 +135,22 @@ def _ignored(
     grid = torch.tensor([columns, rows], device=raw.device)
     centre = (raw[..., :2].sigmoid() + cells) / grid
     half = raw[..., 2:4].clamp(max=10).exp() * anchors[:, None, None] / size / 2
-    low, high = centre - half, centre + half  # (B, A, rows, columns, 2)
+    low, high = (centre - half).flatten(1, 3), (centre + half).flatten(1, 3)  # (B, P, 2)
     area = (high - low).prod(dim=-1)
-    ignored = torch.zeros_like(area, dtype=torch.bool)
+    best = torch.zeros_like(area)
+    row = torch.zeros_like(area, dtype=torch.long)
     for image in range(batch):
-        boxes = truths[truths[:, 0] == image, 2:]
-        if not len(boxes):
+        mine = torch.nonzero(truths[:, 0] == image)[:, 0]
+        if not len(mine):
             continue
-        candidates = torch.nonzero(area[image] > 0, as_tuple=True)
-        a_low, a_high = low[image][candidates], high[image][candidates]
+        boxes = truths[mine, 2:]
         b_low, b_high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
-        shared = torch.minimum(a_high[:, None, 0], b_high[None, :, 0])
-        shared = (shared - torch.maximum(a_low[:, None, 0], b_low[None, :, 0])).clamp_(min=0)
-        height = torch.minimum(a_high[:, None, 1], b_high[None, :, 1])
-        height = (height - torch.maximum(a_low[:, None, 1], b_low[None, :, 1])).clamp_(min=0)
-        shared = shared * height
-        union = area[image][candidates][:, None] + boxes[:, 2:].prod(dim=1)[None] - shared
-        ignored[image][candidates] = (shared > ignore_thresh * union).any(dim=1)
-    return ignored & (raw[..., 5:].sigmoid() > 0.25).any(dim=-1)
+        shared = torch.ones((), device=raw.device)
+        for axis in range(2):
+            end = torch.minimum(high[image, :, None, axis], b_high[None, :, axis])
+            begin = torch.maximum(low[image, :, None, axis], b_low[None, :, axis])
+            shared = shared * (end - begin).clamp_(min=0)
+        union = area[image, :, None] + boxes[:, 2:].prod(dim=1)[None] - shared
+        best[image], which = (shared / union).max(dim=1)
+        row[image] = mine[which]
+    return best.reshape(raw.shape[:4]), row.reshape(raw.shape[:4])

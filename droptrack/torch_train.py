@@ -1,18 +1,20 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
-import csv
 import math
 import os
 import signal
 import time
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from droptrack import DroptrackError
@@ -21,9 +23,13 @@ from droptrack.dataset import DataSet, read_image, read_truth
 from droptrack.detections import Detections
 from droptrack.detector import decode_head, select
 from droptrack.metrics import average_precision
-from droptrack.torch_data import Augmentation, Batches, TrainingPictures, collate
-from droptrack.torch_loss import Loss, yolo_loss
+from droptrack.torch_data import Augmentation, Batches, DrawPicture, TrainingPictures, collate
+from droptrack.torch_devices import mean_over_ranks, other_ranks
+from droptrack.torch_loss import yolo_loss
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values
+from droptrack.training_log import Step, TrainingLog, running_average
+
+NAN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -31,67 +37,84 @@ class Settings:
     """How to train, beside what the ``.cfg`` says."""
 
     iterations: int  # batches in all
-    batch: int  # pictures an iteration
+    batch: int  # pictures an iteration, over all devices
+    subdivisions: int  # parts that a device's share of a batch is computed in
     optimizer: str  # "sgd": Darknet's, by the cfg; "adamw": less iterations, half a cosine
     learning_rate: float
     window: tuple[int, int] | None  # see Augmentation
     sizes: tuple[float, float] | None  # range of the factor on the network's size
     seed: int
-    workers: int  # processes that prepare pictures
+    workers: int  # processes a device that prepare pictures
     save_every: int  # iterations between checkpoints
     map_every: int  # iterations between measurements of the mAP
     map_images: int  # validation pictures they use
+    patience: int  # mAPs without a new best that end the training; 0: never
+    devices: tuple[str, ...]  # one process each: ("cuda:0", "cuda:1")
+    bf16: bool  # the network computes in bfloat16; weights, gradients and loss are float32
 
 
 @dataclass(frozen=True)
-class Step:
-    """What one iteration did; `mean_ap` is NaN where it was not measured."""
+class Job:
+    """What to train on what.
 
-    iteration: int
-    loss: float
-    regression: float
-    objectness: float
-    classes: float
-    learning_rate: float
-    seconds: float
-    images: int
-    mean_ap: float
-
-
-def train(
-    cfg: Cfg, data: DataSet, out: Path, settings: Settings, start: Path | None, resume: bool
-) -> Generator[Step, None, None]:
-    """Train and yield after each iteration; checkpoints and ``.weights`` go into the folder `out`.
-
-    `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. Files, by
-    the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
-    whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end,
-    and ``training.csv``. Raises DroptrackError when the loss is no number any more.
+    `start`: weights to begin from. With `resume`, goes on from the checkpoint in `out`. `draw`
+    makes the training pictures instead of the data set.
     """
+
+    cfg: Cfg
+    data: DataSet
+    out: Path
+    settings: Settings
+    start: Path | None = None
+    resume: bool = False
+    draw: DrawPicture | None = None
+
+
+def train(job: Job) -> Generator[Step, None, None]:
+    """Train and yield after each iteration; all files go into the folder `out` of the job.
+
+    By the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
+    whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end;
+    ``training.csv`` and ``training.png``. Raises DroptrackError when the loss is no number.
+    """
+    with other_ranks(job.settings.devices, job.settings.workers, _train_along, job):
+        yield from _train(job, 0)
+
+
+def _train_along(job: Job, rank: int) -> None:
+    for _ in _train(job, rank):
+        pass
+
+
+def _train(job: Job, rank: int) -> Generator[Step, None, None]:
+    """The training loop of one device. Rank 0 also measures, saves and logs."""
+    cfg, data, out, settings = job.cfg, job.data, job.out, job.settings
     torch.manual_seed(settings.seed)
     torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = torch.device(settings.devices[rank])
     network = DarknetNetwork(cfg).to(device)
     network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    if start is not None:
-        load_values(network, read_weights(start, cfg).values)
+    if job.start is not None:
+        load_values(network, read_weights(job.start, cfg).values)
     optimizer = _optimizer(network, cfg, settings)
     checkpoint = out / f"{cfg.path.stem}_checkpoint.pt"
-    first, best = _restore(checkpoint, network, optimizer) if resume else (0, 0.0)
+    first = _restore(checkpoint, network, optimizer) if job.resume else 0
+    model: nn.Module = network
+    if len(settings.devices) > 1:
+        model = DistributedDataParallel(network)
 
     augmentation = Augmentation.of(cfg, settings.window, settings.sizes)
-    batches = Batches(
-        len(data.train),
-        settings.batch,
-        first,
-        settings.iterations,
-        settings.seed,
-        augmentation.random,
-    )
-    pictures = TrainingPictures(data, augmentation, len(data.names))
     loader = DataLoader(
-        pictures,
-        batch_sampler=batches,
+        TrainingPictures(data, augmentation, job.draw),
+        batch_sampler=Batches(
+            len(data.train),
+            settings.batch,
+            first,
+            settings.iterations,
+            settings.seed,
+            augmentation.random,
+            (rank, len(settings.devices)),
+        ),
         num_workers=settings.workers,
         collate_fn=collate,
         worker_init_fn=_quiet_worker,
@@ -104,68 +127,117 @@ def train(
 
     iteration = first
     began = time.perf_counter()
-    with (out / "training.csv").open("a" if resume else "w", newline="", buffering=1) as file:
-        log = csv.writer(file, lineterminator="\n")
-        if not resume:
-            log.writerow(Step.__dataclass_fields__)
+    with TrainingLog(out, first) if rank == 0 else nullcontext() as log:
         try:
             for iteration, (images, truths) in enumerate(loader, start=first + 1):
                 rate = learning_rate(iteration, cfg, settings)
                 for group in optimizer.param_groups:
                     group["lr"] = rate
-                loss = _step(network, optimizer, images.to(device), truths.to(device))
-                if not torch.isfinite(loss.total):
-                    raise DroptrackError(
-                        f"{out}: the loss is no number any more at iteration {iteration}; "
-                        "start again with a smaller --learning-rate"
-                    )
-                mean_ap = np.nan
+                terms = _step(model, network, optimizer, images, truths, settings)
+                loss, regression, objectness, classes, rewritten, finite = mean_over_ranks(terms)
+                if log is None:
+                    continue
+                mean_ap = NAN
                 if iteration % settings.map_every == 0 or iteration == settings.iterations:
                     mean_ap = validation_map(network, data.valid[: settings.map_images])
-                    if mean_ap > best:
-                        best = mean_ap
+                    if mean_ap > max(log.mean_aps, default=0.0):
                         save(iteration, "best")
                 if iteration % settings.save_every == 0:
                     save(iteration, "last")
-                    _save_checkpoint(checkpoint, network, optimizer, iteration, best)
+                    _save_checkpoint(checkpoint, network, optimizer, iteration)
                 now = time.perf_counter()
                 step = Step(
                     iteration,
-                    float(loss.total),
-                    float(loss.regression),
-                    float(loss.objectness),
-                    float(loss.classes),
+                    loss,
+                    running_average(log.average_loss, loss),
+                    regression,
+                    objectness,
+                    classes,
+                    rewritten,
                     rate,
                     now - began,
                     iteration * settings.batch,
                     mean_ap,
                 )
                 began = now
-                log.writerow([f"{value:.6g}" for value in vars(step).values()])
+                log.append(step)
                 yield step
-            save(iteration, "final")
+                if finite < 1:
+                    raise DroptrackError(
+                        f"{out}: the loss or its gradient is no number any more at iteration "
+                        f"{iteration}, at a rate of {rate:g}; start again, in another --out, with "
+                        "a smaller --learning-rate"
+                    )
+                if log.is_stale(settings.patience):
+                    break
+            if rank == 0:
+                save(iteration, "final")
         except DroptrackError as error:  # a worker's comes wrapped in its traceback
             last = str(error).strip().splitlines()[-1]
             raise DroptrackError(last.removeprefix("droptrack.DroptrackError: ")) from None
         finally:
-            save(iteration, "last")
-            _save_checkpoint(checkpoint, network, optimizer, iteration, best)
+            if rank == 0:
+                save(iteration, "last")
+                _save_checkpoint(checkpoint, network, optimizer, iteration)
 
 
 def _step(
-    network: DarknetNetwork, optimizer: torch.optim.Optimizer, images: Tensor, truths: Tensor
-) -> Loss:
-    """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6)."""
-    network.train()
-    inputs = (images.float() / 255).contiguous(memory_format=torch.channels_last)
-    with torch.autocast(images.device.type, torch.bfloat16):
-        maps = network(inputs)
-    loss = yolo_loss(network.cfg, maps, truths)
+    model: nn.Module,
+    network: DarknetNetwork,
+    optimizer: torch.optim.Optimizer,
+    images: Tensor,
+    truths: Tensor,
+    settings: Settings,
+) -> Tensor:
+    """One gradient step on images (B, 3, H, W) uint8 and truths (T, 6).
+
+    The batch goes through the network in `subdivisions` parts. Returns (6,): the number that
+    Darknet prints as the loss (`Step`), the three parts of the loss, the share of rewritten truths,
+    and 1 if all was finite. If not, no step is made: what is learnt until here stays intact.
+    """
+    model.train()
+    device = next(network.parameters()).device
     optimizer.zero_grad(set_to_none=True)
-    loss.total.backward()  # type: ignore[no-untyped-call]
-    torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
-    optimizer.step()
-    return loss.detached()
+    terms = torch.zeros(5, device=device)
+    for part, last in _parts(images, truths, settings.subdivisions):
+        pixels, boxes = (tensor.to(device, non_blocking=True) for tensor in part)
+        inputs = (pixels.float() / 255).contiguous(memory_format=torch.channels_last)
+        waits = isinstance(model, DistributedDataParallel) and not last
+        with cast(DistributedDataParallel, model).no_sync() if waits else nullcontext():
+            with torch.autocast(device.type, torch.bfloat16, enabled=settings.bf16):
+                maps = [raw.float() for raw in model(inputs)]
+            for raw in maps:
+                raw.retain_grad()
+            loss = yolo_loss(network.cfg, maps, boxes)
+            loss.total.backward()  # type: ignore[no-untyped-call]
+        rewritten = loss.regression.new_tensor(loss.n_rewritten / max(1, loss.n_truths))
+        numbers = [darknet_loss(maps), loss.regression, loss.objectness, loss.classes, rewritten]
+        terms += torch.stack(numbers).detach() / settings.subdivisions
+    for parameter in network.parameters():
+        if parameter.grad is not None:
+            parameter.grad /= settings.subdivisions
+    norm = torch.nn.utils.clip_grad_norm_(network.parameters(), 1000.0)
+    finite = torch.isfinite(norm + terms.sum())
+    if finite:
+        optimizer.step()
+    return torch.cat([terms, finite.float()[None]])
+
+
+def _parts(
+    images: Tensor, truths: Tensor, count: int
+) -> Iterator[tuple[tuple[Tensor, Tensor], bool]]:
+    """Equal parts of a batch, and whether each is the last."""
+    size = len(images) // count
+    for start in range(0, len(images), size):
+        mine = truths[(truths[:, 0] >= start) & (truths[:, 0] < start + size)].clone()
+        mine[:, 0] -= start
+        yield (images[start : start + size], mine), start + size >= len(images)
+
+
+def darknet_loss(maps: Sequence[Tensor]) -> Tensor:
+    """What Darknet prints as the loss of maps whose gradients are known."""
+    squares = [raw.grad.square().sum() for raw in maps if raw.grad is not None]
+    return torch.stack(squares).mean() * len(maps[0])
 
 
 def learning_rate(iteration: int, cfg: Cfg, settings: Settings) -> float:
@@ -244,22 +316,18 @@ def _save_checkpoint(
     network: DarknetNetwork,
     optimizer: torch.optim.Optimizer,
     iteration: int,
-    best: float,
 ) -> None:
     partial = path.with_name(path.name + ".partial")
     state = {
         "network": network.state_dict(),
         "optimizer": optimizer.state_dict(),
         "iteration": iteration,
-        "best": best,
     }
     torch.save(state, partial)
     os.replace(partial, path)
 
 
-def _restore(
-    path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimizer
-) -> tuple[int, float]:
+def _restore(path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimizer) -> int:
     if not path.exists():
         raise DroptrackError(f"{path}: no checkpoint to resume from; start without --resume")
     try:
@@ -269,4 +337,4 @@ def _restore(
     except (RuntimeError, KeyError, ValueError, EOFError) as error:
         reason = str(error).splitlines()[0]
         raise DroptrackError(f"{path}: is no checkpoint of this network: {reason}") from None
-    return int(state["iteration"]), float(state["best"])
+    return int(state["iteration"])

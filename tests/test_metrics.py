@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from droptrack.detections import Detections, labels
-from droptrack.metrics import average_precision
+from droptrack.metrics import average_precision, coco_average_precision
 
 
 def found(boxes: list[list[float]], scores: list[float]) -> Detections:
@@ -53,3 +53,46 @@ def test_overlap_must_exceed_one_half() -> None:
 
 def test_without_truth_precision_is_undefined() -> None:
     assert np.isnan(average_precision([(found([A], [0.9]), labels([]))]).average_precision)
+
+
+def test_f1_and_overlap_counted_by_hand() -> None:
+    """Above 0.5: one exact hit, one shifted by a third (overlap 1/2), one false; one is missed.
+
+    Precision 2/3, recall 2/3, F1 2/3; overlaps 1, 1/2 and 0.
+    """
+    shifted = [40 + 8 / 3 - 1e-6, 10.0, 8, 8]
+    pairs = [(found([A, shifted, NOWHERE, C], [0.9, 0.8, 0.7, 0.4]), labels([A, B, C]))]
+    result = average_precision(pairs, min_iou=0.49, score=0.5)
+    assert (result.precision, result.recall, result.f1) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
+    assert result.average_iou == pytest.approx((1 + 0.5 + 0) / 3, abs=1e-5)
+
+
+def test_each_class_is_scored_by_itself() -> None:
+    """Class 0 all found; of class 1's two, one is found as class 0: (1/2 + 1/2) / 2."""
+    detections = Detections(np.array([A, B, C]), np.array([0.9, 0.8, 0.7]), np.array([0, 0, 1]))
+    truth = Detections(np.array([A, B, C]), np.ones(3), np.array([0, 1, 1]))
+    assert average_precision([(detections, truth)]).average_precision == pytest.approx(
+        (1 + 0.5) / 2
+    )
+
+
+def test_cocos_precision_counted_by_hand() -> None:
+    """A false one first, then four of five, overlapping by 7.5/8.5 = 0.88.
+
+    The best precision is 4/5 up to a recall of 4/5, at 81 of 101 recalls, and the overlap suffices
+    for eight of the ten thresholds 0.5, 0.55 ... 0.95.
+    """
+    truth = [[10.0 * i, 10, 8, 8] for i in range(5)]
+    boxes = [NOWHERE, *([x + 0.5, y, w, h] for x, y, w, h in truth[:4])]
+    pairs = [(found(boxes, [0.9, 0.8, 0.7, 0.6, 0.5]), labels(truth))]
+    every, half = coco_average_precision(pairs)
+    assert half == pytest.approx(0.8 * 81 / 101)
+    assert every == pytest.approx(0.8 * half)
+
+
+def test_cocos_precision_counts_more_than_a_hundred_droplets() -> None:
+    truth = [[10.0 * (i % 20), 10.0 * (i // 20), 8, 8] for i in range(150)]
+    pairs = [(found(truth, np.linspace(0.9, 0.5, 150).tolist()), labels(truth))]
+    assert coco_average_precision(pairs) == pytest.approx((1, 1))
+    assert coco_average_precision([(found([], []), labels(truth))]) == (0, 0)
+    assert np.isnan(coco_average_precision([(found([A], [0.9]), labels([]))])).all()

@@ -1,0 +1,54 @@
+"""A network tried on labelled images, through the command."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from data_gen.make_dataset import Recipe, make_dataset
+from droptrack.dataset import read_data_file, read_scenes
+from droptrack.evaluate import app
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("validation") / "data"
+    for _ in make_dataset(folder, Recipe("tiny", 2, 6, seed=9), 1):
+        pass
+    return folder / "obj.data"
+
+
+def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    result = CliRunner().invoke(app, ["--data", str(data), "--json", str(report)])
+    assert result.exit_code == 0, result.output
+    content = json.loads(report.read_text())
+    summary, scenes = content["summary"], {row["scene"]: row for row in content["droplets"]}
+    assert {scene: row["n_images"] for scene, row in scenes.items()} == {"a": 3, "b": 3}
+    assert scenes["b"]["n_droplets"] == 6  # two cores each
+    assert summary["n_droplets"] == scenes["a"]["n_droplets"] + 6
+    for scores in (summary, *scenes.values()):
+        assert scores["map_50"] > 0.99
+        assert scores["coco_ap_50"] == pytest.approx(scores["map_50"], abs=0.02)
+        assert 0.7 < scores["coco_ap_50_95"] < scores["coco_ap_50"]
+        assert scores["f1"] > 0.95
+        assert scores["average_iou"] > 0.85
+
+
+def test_scenes_are_read_back_as_they_take_turns(data: Path) -> None:
+    pictures = read_data_file(data)
+    scenes = read_scenes(pictures)
+    assert [scenes[image] for image in pictures.valid] == list("ababab")
+    (data.parent / "scenes.txt").rename(data.parent / "away.txt")
+    assert read_scenes(pictures) == {}
+    (data.parent / "away.txt").rename(data.parent / "scenes.txt")
+
+
+def test_half_a_question_is_refused(data: Path, tmp_path: Path) -> None:
+    for arguments in ([], [str(tmp_path / "truth.csv")], ["--weights", "x.weights"]):
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 1
+        assert "give TRUTH.csv and TRAJECTORIES.csv, or --data obj.data" in result.output
+    missing = CliRunner().invoke(app, ["--data", str(data.parent / "no.data")])
+    assert "no.data: no such file" in missing.output

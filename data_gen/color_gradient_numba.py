@@ -10,11 +10,14 @@ of links adds what half-way bounce-back returns.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import config, njit, prange
 from numpy.typing import NDArray
 
 from data_gen import color_gradient as cg
 from data_gen.lattice import CX, CY, W
+
+# with TBB, which comes first where it is installed, each launch is slower than the one before
+config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
 
 PIECE = 128  # nodes worked on at once
 S = PIECE + 8  # stride of a slot of the buffer

@@ -8,7 +8,10 @@ small flat buffer: LLVM then sees constant distances between all operands and ve
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import config, njit, prange
+
+# with TBB, which comes first where it is installed, each launch is slower than the one before
+config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
 
 PIECE = 128  # nodes worked on at once
 S = PIECE + 8  # stride of a slot of the buffer: a piece and its two neighbours

@@ -1,5 +1,6 @@
 """Networks through OpenVINO on the CPU, in fp32, bf16 or int8."""
 
+import functools
 import os
 import queue
 import threading
@@ -88,15 +89,24 @@ class OpenVinoEngine:
                     grey=channels == 1,
                     ranges=self._ranges,
                 )
-                core = openvino.Core()
-                compiled = core.compile_model(
-                    core.read_model(model.SerializeToString()), "CPU", self._settings
+                compiled = core().compile_model(
+                    core().read_model(model.SerializeToString()), "CPU", self._settings
                 )
                 free: queue.SimpleQueue[openvino.InferRequest] = queue.SimpleQueue()
                 for _ in range(self.parallel):
                     free.put(compiled.create_infer_request())
                 self._requests[channels] = free
         return self._requests[channels]
+
+
+@functools.cache
+def core() -> openvino.Core:
+    """OpenVINO itself, kept until the process ends.
+
+    It gives the thread that starts it a stack for signal handlers, and frees that with itself: the
+    next Ctrl-C would end in a segmentation fault.
+    """
+    return openvino.Core()
 
 
 def usable_cores() -> int:
@@ -106,16 +116,15 @@ def usable_cores() -> int:
 
 def computes_int8() -> bool:
     """Whether this CPU computes in int8 faster than in fp32."""
-    return "INT8" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+    return "INT8" in core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
 
 
 def output_ranges(
     cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
 ) -> dict[int, Range]:
     """The least and largest value that layers put out, in fp32, over frames, by layer."""
-    core = openvino.Core()
-    model = core.read_model(onnx_model(cfg, weights, taps=layers).SerializeToString())
-    compiled = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    model = core().read_model(onnx_model(cfg, weights, taps=layers).SerializeToString())
+    compiled = core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     lows, highs = [], []
     for frame in frames:
         size = (cfg.width, cfg.height)

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from droptrack import DroptrackError
-from droptrack.deepsort import Parameters
+from droptrack.appearance import describe
+from droptrack.deepsort import Parameters, Tracker
 from droptrack.detector import Detector, Float32s
-from droptrack.pipeline import Results, follow
+from droptrack.pipeline import FURTHER_COLUMNS, Results, follow
 from droptrack.stage_times import StageTimes
 from droptrack.threads import READ_AHEAD, AnnotatedVideo, FrameReader
-from droptrack.trajectories import BOX_CENTRE, Trajectories, TrajectoryWriter, read_trajectories
+from droptrack.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.video import Frame, Video, VideoInfo, VideoWriter
 
 
@@ -54,9 +55,10 @@ def track(
     engine: GreyLevelEngine, source: Iterator[tuple[int, Frame]], path: Path, **options: bool | int
 ) -> tuple[Trajectories, Results]:
     detector = Detector(engine, 0.5, 0.5)
-    with TrajectoryWriter(path, {}, BOX_CENTRE) as rows:
-        results = Results(rows, None, StageTimes())
-        for _ in follow(source, detector, Parameters(), results, **options):  # type: ignore[arg-type]
+    tracker = Tracker(Parameters())
+    with TrajectoryWriter(path, {}, FURTHER_COLUMNS) as rows:
+        results = Results(rows)
+        for _ in follow(source, detector, tracker, describe, results, **options):  # type: ignore[arg-type]
             pass
     return read_trajectories(path)[0], results
 

@@ -14,7 +14,7 @@ from droptrack.evaluate import app
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("validation") / "data"
-    for _ in make_dataset(folder, Recipe("tiny", 2, 6, seed=9), 1):
+    for _ in make_dataset(folder, Recipe("tiny", 2, 40, seed=9), 1):
         pass
     return folder / "obj.data"
 
@@ -25,21 +25,21 @@ def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path:
     assert result.exit_code == 0, result.output
     content = json.loads(report.read_text())
     summary, scenes = content["summary"], {row["scene"]: row for row in content["droplets"]}
-    assert {scene: row["n_images"] for scene, row in scenes.items()} == {"a": 3, "b": 3}
-    assert scenes["b"]["n_droplets"] == 6  # two cores each
-    assert summary["n_droplets"] == scenes["a"]["n_droplets"] + 6
+    assert {scene: row["n_images"] for scene, row in scenes.items()} == {"a": 20, "b": 20}
+    assert scenes["b"]["n_droplets"] == 40  # two cores each
+    assert summary["n_droplets"] == scenes["a"]["n_droplets"] + 40
     for scores in (summary, *scenes.values()):
         assert scores["map_50"] > 0.99
         assert scores["coco_ap_50"] == pytest.approx(scores["map_50"], abs=0.02)
         assert 0.7 < scores["coco_ap_50_95"] < scores["coco_ap_50"]
-        assert scores["f1"] > 0.9  # of six droplets, one more is 0.92
-        assert scores["average_iou"] > 0.75  # in which a false one counts as 0
+        assert scores["f1"] > 0.95
+        assert scores["average_iou"] > 0.85
 
 
 def test_scenes_are_read_back_as_they_take_turns(data: Path) -> None:
     pictures = read_data_file(data)
     scenes = read_scenes(pictures)
-    assert [scenes[image] for image in pictures.valid] == list("ababab")
+    assert [scenes[image] for image in pictures.valid] == list(20 * "ab")
     (data.parent / "scenes.txt").rename(data.parent / "away.txt")
     assert read_scenes(pictures) == {}
     (data.parent / "away.txt").rename(data.parent / "scenes.txt")

@@ -3,52 +3,80 @@
 The centre of a bounding box is known to a fraction of the network's cells; the intensity-weighted
 centre of an anti-aliased droplet to two thousandths of a pixel.
 
-Droplets of about one size are cut out of the frame and worked on together: crops are (N, S, S), and
-what needs a picture gets them in a column, one black pixel around each.
+Droplets of about one size are cut out of the frame and worked on together. Crops (N, S, S) have a
+rim of an empty pixel, so that all of them are one picture, one below the other, and neighbouring
+pixels are shifts in memory.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from droptrack.video import Frame, grey_plane
+
 Floats = NDArray[np.float64]
-Float32s = NDArray[np.float32]
 Rows = NDArray[np.int64]
+Pixels = NDArray[np.uint8]
 Bools = NDArray[np.bool_]
-T = TypeVar("T", bound=np.generic)
 
 MARGIN = 0.25  # of the box's size, added on each side: boxes are not exact
 EDGE_PX = 1.5  # reach of an anti-aliased edge beyond the half-height contour
 LEAST_CONTRAST = 12.0  # grey levels between droplet and surroundings
 NEIGHBOURS = 8  # boxes that a droplet may touch
 SIDE_RATIO = 1.5  # of the largest to the smallest crop in a group, at most
-SAMPLES = 32  # lines and columns of a crop that tell the grey levels, if it has as many
-PIXELS_AT_ONCE = 4_000_000
-# places in a neighbour, in its half sizes, one of which a droplet covers if it runs into it
-CORE = 0.4 * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+PIXELS_AT_ONCE = 300_000  # what fits a cache
+NOWHERE = 256  # instead of a grey level, beyond the frame's edge
+
+
+def _grid(n: int, limit: float, low: float, high: float) -> Floats:
+    """Places (P, 2) of an n x n grid over +-limit, `low` to `high` from the middle."""
+    steps = (2 * np.arange(n) + 1 - n) * limit / n
+    places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    distance = np.hypot(*places.T)
+    return np.asarray(places[(distance > low) & (distance < high)])
+
+
+# in units of a box's half sizes: where the droplet's grey level is read, that of its surroundings,
+INSIDE, AROUND = _grid(10, 0.5, 0, 0.5), _grid(16, 1.5, 1.1, 2)
+# where the droplet is looked for, and places that it covers of a neighbour if it runs into it: some
+# near the neighbour's edge, since crops end before the middle of droplets that only touch
+MIDDLE = _grid(8, 0.8, 0, 0.8)
+CORE = np.array([[0, 0], *(r * np.eye(2)[k] for r in (0.4, -0.4, 0.7, -0.7) for k in (0, 1))])
 
 
 @dataclass(frozen=True)
 class _Crops:
-    """N crops of S x S px: grey levels, pixel centres x and y (N, S), and the boxes (N, 4).
+    """N crops: how far pixels (N, S, S) rise above the surroundings, `full` (N,) at most.
 
-    square (N, S, S): squared distance from the box's centre, 1 on the ellipse inscribed in it,
-    infinite beyond the crop's own width and height.
+    Pixel [k, i, j] is the frame's in line corner[k, 1] + i and column corner[k, 0] + j.
     """
 
-    grey: NDArray[np.uint8]
-    x: Float32s
-    y: Float32s
-    boxes: Floats
-    square: Float32s
+    heights: Pixels
+    full: Pixels
+    corner: Rows  # (N, 2)
+    boxes: Floats  # (N, 4)
+
+    def scaled(self, rows: Rows, boxes: Floats) -> tuple[Floats, Floats]:
+        """The pixels' x and y (M, S) from the centres of boxes (M, 4), in units of half sizes."""
+        steps = np.arange(self.heights.shape[1]) + 0.5
+        x, y = (
+            (self.corner[rows, k, None] - boxes[:, k, None] + steps) * (2 / boxes[:, 2 + k, None])
+            for k in (0, 1)
+        )
+        return x, y
+
+    def pixels(self, rows: Rows, places: Floats) -> tuple[Rows, Rows]:
+        """Lines and columns of places (M, Q, 2) px in crops; on the rim for those beyond."""
+        at = np.floor(places).astype(np.int64) - self.corner[rows][:, None]
+        np.clip(at, 0, self.heights.shape[1] - 1, out=at)
+        return at[..., 1], at[..., 0]
 
 
-def centres_of_mass(frame: NDArray[np.uint8], boxes: Floats) -> tuple[Floats, Bools]:
+def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
     """Centres of mass (N, 2) px of the droplets in boxes (N, 4) of a frame (H, W, 3).
 
     Also tells (N,) whether each was measured: where the droplet does not stand out from its
@@ -64,23 +92,22 @@ def centres_of_mass(frame: NDArray[np.uint8], boxes: Floats) -> tuple[Floats, Bo
     reach = boxes[:, 2:] * (0.5 + MARGIN) + EDGE_PX
     low = np.clip(np.floor(boxes[:, :2] - reach), 0, [width, height]).astype(np.int64)
     high = np.clip(np.ceil(boxes[:, :2] + reach), 0, [width, height]).astype(np.int64)
-    usable = np.flatnonzero((high - low >= 3).all(axis=1))
+    size = high - low
+    usable = np.flatnonzero((size >= 3).all(axis=1))
     if not len(usable):
         return centres, measured
-    grey = np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.uint8)
+    plane = grey_plane(frame)
+    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane
+    grey = np.asarray(grey, np.uint8)
+    background, contrast = _levels(grey, boxes)
     neighbours = _neighbours(boxes)
-    for rows in _groups(usable, (high - low)[usable].max(axis=1)):
-        crops = _cut(grey, low[rows], high[rows], boxes[rows])
-        weights = _weights(crops, boxes, rows, neighbours[rows])
-        total = weights.sum(axis=(1, 2), dtype=np.float64)
-        some = np.maximum(total, 1e-9)
-        # about the box's centre, where single precision is fine enough
-        x = crops.x - boxes[rows, :1].astype(np.float32)
-        y = crops.y - boxes[rows, 1:2].astype(np.float32)
-        across = np.einsum("nij,nj->n", weights, x, dtype=np.float64)
-        down = np.einsum("nij,ni->n", weights, y, dtype=np.float64)
-        offset = np.column_stack([across, down]) / some[:, None]
-        centre = boxes[rows, :2].astype(np.float32) + offset
+    margin = int(size.max())
+    picture = np.pad(grey, (1, margin))
+    for rows in _groups(usable, size[usable].max(axis=1)):
+        heights, full = _cut(picture, low[rows], size[rows], background[rows], contrast[rows])
+        crops = _Crops(heights, full, low[rows] - 1, boxes[rows])
+        total, moment = _moments(_alone(crops, boxes, neighbours[rows]))
+        centre = crops.corner + 0.5 + moment / np.maximum(total, 1)[:, None]
         good = (total > 0) & (np.abs(centre - boxes[rows, :2]) < boxes[rows, 2:] / 2).all(axis=1)
         centres[rows[good]] = centre[good]
         measured[rows[good]] = True
@@ -105,133 +132,126 @@ def _neighbours(boxes: Floats) -> Rows:
     return np.where(near == np.arange(len(boxes))[:, None], -1, near)
 
 
-def _cut(grey: NDArray[np.uint8], low: Rows, high: Rows, boxes: Floats) -> _Crops:
-    """Cut the pixels from `low` to `high` (N, 2) around boxes (N, 4) out of a picture."""
-    height, width = grey.shape
-    steps = np.arange((high - low).max())
-    columns, lines = low[:, :1] + steps, low[:, 1:] + steps
-    pixels = grey[
-        np.minimum(lines, height - 1)[:, :, None], np.minimum(columns, width - 1)[:, None, :]
-    ]
-    x, y = columns.astype(np.float32) + 0.5, lines.astype(np.float32) + 0.5
-    u = np.where(columns < high[:, :1], _scaled(x, boxes[:, 0], boxes[:, 2]), np.inf)
-    v = np.where(lines < high[:, 1:], _scaled(y, boxes[:, 1], boxes[:, 3]), np.inf)
-    square = (v * v)[:, :, None] + (u * u)[:, None, :]
-    return _Crops(pixels, x, y, boxes, square.astype(np.float32))
-
-
-def _scaled(at: Float32s, centre: Floats, size: Floats) -> Float32s:
-    """Distances (N, S) from the box's middle, 1 at its edges."""
-    scale = (2 / size).astype(np.float32)
-    return np.asarray((at - centre[:, None].astype(np.float32)) * scale[:, None], np.float32)
-
-
-def _weights(crops: _Crops, boxes: Floats, rows: Rows, neighbours: Rows) -> Float32s:
-    """How much of each pixel (N, S, S) its droplet covers; all 0 where that is unclear."""
-    background, contrast, clear = _levels(crops)
-    scale = np.where(clear, 1 / np.where(clear, contrast, 1), 0).astype(np.float32)
-    coverage = crops.grey - background.astype(np.float32)[:, None, None]
-    coverage *= scale[:, None, None]
-    np.clip(coverage, 0, 1, out=coverage)
-    coverage[np.isinf(crops.square)] = 0
-    covered = coverage > 0.5
-    region = _region(covered, crops.square)
-    # those that run into a touching droplet end half way to it
-    into, other = _run_into(region, crops, boxes, neighbours)
-    touching = np.unique(into)
-    if len(touching):
-        nearer = np.ones((len(touching), *region.shape[1:]), bool)
-        place = np.searchsorted(touching, into)
-        for i, pixels, box in zip(place, into, boxes[other], strict=True):
-            u = _scaled(crops.x[pixels : pixels + 1], box[:1], box[2:3])
-            v = _scaled(crops.y[pixels : pixels + 1], box[1:2], box[3:])
-            nearer[i] &= crops.square[pixels] <= (v * v)[0, :, None] + (u * u)[0, None, :]
-        coverage[touching] *= nearer
-        region[touching] = _region(covered[touching] & nearer, crops.square[touching])
-    return np.asarray(coverage * _with_edge(region, covered & ~region), np.float32)
-
-
-def _levels(crops: _Crops) -> tuple[Floats, Floats, Bools]:
-    """Grey level around each droplet (N,), the droplet's above it, and where that is clear."""
-    step = max(1, crops.grey.shape[1] // SAMPLES)
-    grey, square = crops.grey[:, ::step, ::step], crops.square[:, ::step, ::step]
-    inside = _histograms(grey, square < 0.25)
-    ring = _histograms(grey, (square > 1.1**2) & (square < 4.0))
-    level = _quantile(inside, 0.5)
-    darkest, brightest = _quantile(ring, 0.1), _quantile(ring, 0.9)
+def _levels(grey: Pixels, boxes: Floats) -> tuple[Rows, Rows]:
+    """Grey level around each droplet (N,) and the droplet's above it, 0 where that is unclear."""
+    inside, n_inside = _samples(grey, boxes, INSIDE)
+    around, n_around = _samples(grey, boxes, AROUND)
+    level = _quantile(inside, 0, n_inside, 0.5)
+    darkest, brightest = (_quantile(around, 0, n_around, share) for share in (0.1, 0.9))
     bright = level - darkest >= brightest - level
-    half = (level + np.where(bright, darkest, brightest)) / 2
-    levels = np.arange(256)
-    beyond = np.where(bright[:, None], levels < half[:, None], levels > half[:, None])
-    outside = ring * beyond
-    background = _quantile(outside, 0.5)
-    contrast = level - background
-    enough = inside.any(axis=1) & outside.any(axis=1)
-    return background, contrast, enough & (np.abs(contrast) >= LEAST_CONTRAST)
+    half = (level + np.where(bright, darkest, brightest))[:, None] / 2
+    n_below, n_not_above = (around < half).sum(axis=1), (around <= half).sum(axis=1)
+    start = np.where(bright, 0, n_not_above)
+    n_beyond = np.where(bright, n_below, n_around - n_not_above)
+    background = np.rint(_quantile(around, start, n_beyond, 0.5)).astype(np.int64)
+    contrast = np.rint(level).astype(np.int64) - background
+    clear = (n_inside > 0) & (n_beyond > 0) & (np.abs(contrast) >= LEAST_CONTRAST)
+    return background, np.where(clear, contrast, 0)
 
 
-def _histograms(grey: NDArray[np.uint8], chosen: Bools) -> Rows:
-    """How often each grey level is among the chosen pixels of each crop: (N, 256)."""
-    n = len(grey)
-    count = chosen.sum(axis=(1, 2))
-    crop = np.repeat(np.arange(n) * 256, count)
-    return np.bincount(crop + grey[chosen], minlength=n * 256).reshape(n, 256)
+def _samples(grey: Pixels, boxes: Floats, places: Floats) -> tuple[NDArray[np.int16], Rows]:
+    """Sorted grey levels (N, P) at places of boxes, and how many of each row are in the frame."""
+    height, width = grey.shape
+    x, y = (
+        np.floor(boxes[:, [k]] + boxes[:, [2 + k]] / 2 * places[:, k]).astype(np.int64)
+        for k in (0, 1)
+    )
+    there = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    levels = np.where(there, grey.ravel()[np.where(there, y * width + x, 0)], NOWHERE)
+    return np.sort(levels.astype(np.int16), axis=1), there.sum(axis=1)
 
 
-def _quantile(histograms: Rows, share: float) -> Floats:
-    """Quantiles (N,) of grey levels, interpolated; 255 where a histogram is empty."""
-    sums = histograms.cumsum(axis=1)
-    place = share * np.maximum(sums[:, -1] - 1, 0)
-    below = (sums <= np.floor(place)[:, None]).sum(axis=1)
-    above = (sums <= np.ceil(place)[:, None]).sum(axis=1)
-    return np.asarray(np.minimum(below + (place - np.floor(place)) * (above - below), 255))
+def _quantile(ordered: NDArray[np.int16], start: Rows | int, n: Rows, share: float) -> Floats:
+    """Quantiles (N,), interpolated, of the values start to start + n - 1 of ordered rows."""
+    row = np.arange(len(ordered))
+    place = share * np.maximum(n - 1, 0)
+    last = ordered.shape[1] - 1
+    first = np.minimum(start + np.floor(place).astype(np.int64), last)
+    second = np.minimum(start + np.ceil(place).astype(np.int64), last)
+    below, above = ordered[row, first], ordered[row, second]
+    return np.asarray(below + (place - np.floor(place)) * (above - below))
 
 
-def _column(crops: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Crops (N, S, S) in one picture, one below the other, with a black pixel around each."""
-    n, s, _ = crops.shape
-    picture = np.zeros((n, s + 2, s + 2), np.uint8)
-    picture[:, 1:-1, 1:-1] = crops
-    return picture.reshape(n * (s + 2), s + 2)
+def _cut(
+    picture: Pixels, low: Rows, size: Rows, background: Rows, contrast: Rows
+) -> tuple[Pixels, Pixels]:
+    """Heights (N, S, S) and the droplets' (N,), of crops from `low` (N, 2), `size` (N, 2) px large.
+
+    `picture` is the frame with one more pixel above and on the left.
+    """
+    side = int(size.max()) + 2
+    windows = np.lib.stride_tricks.sliding_window_view(picture, (side, side))
+    heights = windows[low[:, 1], low[:, 0]]
+    # dark droplets are turned bright
+    turn = np.where(contrast < 0, 255, 0)
+    full = np.abs(contrast).astype(np.uint8)
+    base = (background ^ turn).astype(np.uint8)[:, None, None]
+    heights ^= turn.astype(np.uint8)[:, None, None]
+    above = heights > base
+    steps = np.arange(side)
+    within = (steps > 0) & (steps <= size[..., None])  # (N, 2, S)
+    above &= within[:, 0, None, :]
+    above &= within[:, 1, :, None]
+    heights -= base
+    heights *= above
+    return np.minimum(heights, full[:, None, None]), full
 
 
-def _crops_of(picture: NDArray[T], n: int) -> NDArray[T]:
-    """The crops (N, S, S) in a picture made by `_column`."""
-    side = picture.shape[1]
-    return picture.reshape(n, side, side)[:, 1:-1, 1:-1]
+def _alone(crops: _Crops, boxes: Floats, neighbours: Rows) -> Pixels:
+    """The heights (N, S, S) of each crop's own droplet."""
+    everyone = np.arange(len(crops.boxes))
+    heights = crops.heights
+    covered = heights > (crops.full // 2)[:, None, None]
+    region = _region(covered, crops, everyone)
+    # those that run into a touching droplet end half way to it
+    touching = _run_into(region, crops, boxes, neighbours)
+    if len(touching):
+        nearer = _nearer(crops, touching, boxes, neighbours[touching])
+        region[touching] = _region(covered[touching] & nearer, crops, touching)
+        heights = heights.copy()
+        heights[touching] *= nearer
+    return heights * _with_edge(region, covered & ~region)
 
 
-def _region(mask: Bools, square: Float32s) -> Bools:
-    """The connected region (N, S, S) of each mask that fills most of the middle."""
-    n = len(mask)
-    n_labels, labels = cv2.connectedComponents(_column(mask), connectivity=4)
-    numbers = _crops_of(np.asarray(labels, np.int32), n)
-    middle = (square < 0.64) & mask
-    found, crop = numbers[middle], np.repeat(np.arange(n), middle.sum(axis=(1, 2)))
-    counts = np.bincount(found, minlength=n_labels)
-    crop_of = np.zeros(n_labels, np.int64)
-    crop_of[found] = crop
-    best = np.full(n, -1)
-    order = np.argsort(counts, kind="stable")
-    order = order[counts[order] > 0]
-    best[crop_of[order]] = order  # the last one, with the most, stays
-    return np.asarray(numbers == best[:, None, None])
+def _region(mask: Bools, crops: _Crops, rows: Rows) -> Bools:
+    """The connected region of each mask (M, S, S) of crops that fills most of the middle."""
+    picture = mask.view(np.uint8).reshape(-1, mask.shape[2])
+    n_labels, labels = cv2.connectedComponents(picture, connectivity=4)
+    labels = np.asarray(labels, np.int32).reshape(mask.shape)
+    boxes = crops.boxes[rows]
+    line, column = crops.pixels(rows, boxes[:, None, :2] + MIDDLE * boxes[:, None, 2:] / 2)
+    found = labels[np.arange(len(rows))[:, None], line, column]
+    counts = np.bincount(found.ravel(), minlength=n_labels)
+    counts[0] = 0
+    most = found[np.arange(len(found)), counts[found].argmax(axis=1)]
+    return np.asarray(labels == np.where(most > 0, most, -1)[:, None, None])
 
 
-def _run_into(region: Bools, crops: _Crops, boxes: Floats, neighbours: Rows) -> tuple[Rows, Rows]:
-    """Crops and the boxes beside them that are all to be told apart: their regions touch one."""
+def _run_into(region: Bools, crops: _Crops, boxes: Floats, neighbours: Rows) -> Rows:
+    """Crops whose regions cover a place in the core of a neighbouring box."""
     crop, k = np.nonzero(neighbours >= 0)
-    other = neighbours[crop, k]
-    places = boxes[other, None, :2] + CORE * boxes[other, None, 2:] / 2  # (P, C, 2)
-    corner = np.stack([crops.x[crop, 0], crops.y[crop, 0]], axis=1)[:, None] - 0.5
-    at = np.floor(places - corner).astype(np.int64)
-    side = region.shape[1]
-    there = ((at >= 0) & (at < side)).all(axis=2)
-    at = np.clip(at, 0, side - 1)
-    hit = (region[crop[:, None], at[..., 1], at[..., 0]] & there).any(axis=1)
-    touching = np.zeros(len(region), bool)
-    touching[crop[hit]] = True
-    return crop[touching[crop]], other[touching[crop]]
+    there = boxes[neighbours[crop, k]]
+    here = crops.boxes[crop]
+    reach = here[:, 2:] * (0.5 + MARGIN) + EDGE_PX + CORE.max() * there[:, 2:] / 2
+    near = (np.abs(there[:, :2] - here[:, :2]) <= reach).all(axis=1)
+    crop, there = crop[near], there[near]
+    line, column = crops.pixels(crop, there[:, None, :2] + CORE * there[:, None, 2:] / 2)
+    return np.unique(crop[region[crop[:, None], line, column].any(axis=1)])
+
+
+def _nearer(crops: _Crops, rows: Rows, boxes: Floats, neighbours: Rows) -> Bools:
+    """Pixels (M, S, S) of crops `rows` nearer to their own box than to the neighbours (M, K).
+
+    Distances are in units of the boxes' half sizes.
+    """
+    x, y = crops.scaled(rows, crops.boxes[rows])
+    nearer = np.ones((len(rows), *crops.heights.shape[1:]), bool)
+    for other in neighbours.T:
+        other_x, other_y = crops.scaled(rows, boxes[other])
+        beyond_x = np.where(other[:, None] < 0, -np.inf, x**2 - other_x**2).astype(np.float32)
+        within_y = (other_y**2 - y**2).astype(np.float32)
+        nearer &= beyond_x[:, None, :] <= within_y[:, :, None]
+    return nearer
 
 
 def _with_edge(region: Bools, others: Bools) -> Bools:
@@ -239,16 +259,33 @@ def _with_edge(region: Bools, others: Bools) -> Bools:
 
     Within 1.5 px are the pixel itself, those beside it, and those at its corners.
     """
-    n = len(region)
-    cross = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
-    square = np.ones((3, 3), np.uint8)
-    beside, at_corner, others_beside, others_near = (
-        _crops_of(np.asarray(cv2.dilate(_column(part), kernel), bool), n)
-        for part, kernel in (
-            (region, cross),
-            (region, square),
-            (others, cross),
-            (others, square),
-        )
-    )
-    return np.asarray(region | (beside & ~others_beside) | (at_corner & ~others_near))
+    whole = _grown(region, corners=True)
+    crowded = np.flatnonzero(others.reshape(len(others), -1).any(axis=1))
+    if len(crowded):
+        own, others = region[crowded], others[crowded]
+        beside = _grown(own, corners=False) & ~_grown(others, corners=False)
+        whole[crowded] &= ~_grown(others, corners=True)
+        whole[crowded] |= own | beside
+    return whole
+
+
+def _grown(masks: Bools, *, corners: bool) -> Bools:
+    """Masks (M, S, S), empty on their rims, and the pixels beside them or at their corners too."""
+    flat, line = masks.ravel(), masks.shape[2]
+    grown = flat.copy()
+    grown[1:] |= flat[:-1]
+    grown[:-1] |= flat[1:]
+    lines = grown.copy() if corners else flat
+    grown[line:] |= lines[:-line]
+    grown[:-line] |= lines[line:]
+    return grown.reshape(masks.shape)
+
+
+def _moments(heights: Pixels) -> tuple[Rows, Rows]:
+    """Sums (N,) of heights (N, S, S), and of heights times column and line (N, 2)."""
+    n, side, _ = heights.shape
+    sums = cv2.reduce(heights.reshape(-1, side), 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
+    lines = np.asarray(sums, np.int64).reshape(n, side)
+    columns = heights.sum(axis=1, dtype=np.uint32).astype(np.int64)
+    steps = np.arange(side)
+    return lines.sum(axis=1), np.column_stack([columns @ steps, lines @ steps])

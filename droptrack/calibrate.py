@@ -1,6 +1,6 @@
 """Command: prepare a network for 8 bits, ``python -m droptrack.calibrate``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +15,7 @@ from droptrack.detections import Detections
 from droptrack.detector import Detector, Engine
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.pruning import Moments, prunable_layers, pruned, reductions
 from droptrack.quantisation import (
     Calibration,
     joined,
@@ -22,7 +23,9 @@ from droptrack.quantisation import (
     sha256_of,
     write_calibration,
 )
+from droptrack.video import Frame
 
+PRUNING_ERROR = 4e-4  # docs/performance.md
 # as Darknet measures mAP
 LEAST_SCORE = 0.005
 MAX_IOU = 0.45
@@ -47,10 +50,17 @@ def main(
     ] = None,
     images: Annotated[int, typer.Option(min=1, help="Training pictures to measure on.")] = 200,
     checked: Annotated[int, typer.Option(min=1, help="Validation pictures for the mAP.")] = 500,
+    prune: Annotated[
+        float,
+        typer.Option(min=0, max=1, help="Error that left out channels may cause; 0: keep all."),
+    ] = PRUNING_ERROR,
 ) -> None:
-    """Measure what 8 bits need, check that they cost at most 0.2 points of mAP, keep it."""
+    """Prune a network and measure what 8 bits need, check that it costs little, and keep it.
+
+    At most 0.2 points of mAP, else it is refused.
+    """
     try:
-        from droptrack.engines.openvino import OpenVinoEngine, output_ranges
+        from droptrack.engines.openvino import OpenVinoEngine, layer_outputs, output_ranges
     except ImportError:
         raise DroptrackError("calibrating needs: pip install 'droptrack[openvino]'") from None
     weights = weights or SHIPPED_WEIGHTS
@@ -60,17 +70,26 @@ def main(
     values = read_weights(weights, network)
     pictures = read_data_file(data)
     train, valid = pictures.train[:images], pictures.valid[:checked]
-    with progress_bar("pictures") as progress:
-        frames = map(read_image, progress.track(train, description="ranges", total=len(train)))
-        ranges = output_ranges(network, values, quantised_layers(network), frames)
-    ranges = joined(network, ranges)
-    maps = [
+
+    def frames(stage: str) -> Iterator[Frame]:
+        with progress_bar("pictures") as progress:
+            yield from map(read_image, progress.track(train, description=stage, total=len(train)))
+
+    moments = {layer: Moments() for layer in prunable_layers(network)} if prune else {}
+    if moments:
+        for outputs in layer_outputs(network, values, list(moments), frames("channels")):
+            for layer, moment in moments.items():
+                moment.add(outputs[layer])
+    changes = reductions(network, values, moments, prune)
+    smaller = pruned(network, values, changes)
+    ranges = joined(network, output_ranges(*smaller, quantised_layers(network), frames("ranges")))
+    map_fp32, map_int8 = (
         mean_average_precision(engine, valid, len(pictures.names))
         for engine in (
             OpenVinoEngine(network, values, "fp32", LEAST_SCORE),
-            OpenVinoEngine(network, values, "int8", LEAST_SCORE, ranges),
+            OpenVinoEngine(*smaller, "int8", LEAST_SCORE, ranges),
         )
-    ]
+    )
     calibration = Calibration(
         sha256_of(weights),
         network.width,
@@ -78,10 +97,15 @@ def main(
         ranges,
         len(train),
         len(valid),
-        *maps,
+        map_fp32,
+        map_int8,
+        tuple(changes),
     )
     path = write_calibration(weights, network, calibration)
-    typer.echo(f"{path}: mAP@0.50 {maps[1]:.4f} in int8, {maps[0]:.4f} in fp32")
+    for change in changes:
+        filters = network.layers[change.layer].integer("filters")
+        typer.echo(f"layer {change.layer}: {len(change.kept)} of {filters} channels kept")
+    typer.echo(f"{path}: mAP@0.50 {map_int8:.4f} in int8, {map_fp32:.4f} in fp32")
 
 
 def mean_average_precision(engine: Engine, images: Sequence[Path], n_classes: int) -> float:

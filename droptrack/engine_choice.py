@@ -14,6 +14,7 @@ from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, Weights, read_weights
 from droptrack.detector import Detector, Engine, first_line
 from droptrack.engines import opencv_dnn
+from droptrack.pruning import pruned
 from droptrack.quantisation import find_calibration
 from droptrack.video import grey_frame
 
@@ -161,9 +162,8 @@ def _make(
             )
         streams = 1 if live else min(2, usable_cores())
         if calibration is not None:
-            return OpenVinoEngine(
-                cfg, weights, Precision.int8, threshold, calibration.ranges, streams
-            )
+            smaller = pruned(cfg, weights, calibration.reductions)
+            return OpenVinoEngine(*smaller, Precision.int8, threshold, calibration.ranges, streams)
         return OpenVinoEngine(cfg, weights, exact, threshold, None, streams)
     from droptrack.engines.pytorch import TorchCudaEngine, TorchEngine
 

@@ -1,17 +1,23 @@
 """Post-training quantisation: the range of every layer's output, measured, checked and kept.
 
-A calibration is a small text file beside the weights, valid for these weights (their sha256) at one
-input size. It holds what turns the weights into an 8-bit network, and what that cost in mAP.
+A calibration is a small file beside the weights, valid for these weights (their sha256) at one
+input size. It holds what turns the weights into an 8-bit network, pruned before (`pruning`), and
+what that cost in mAP.
 """
 
 import hashlib
 import json
 import os
-from dataclasses import asdict, dataclass
+import zipfile
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, route_sources
+from droptrack.pruning import Reduction
 
 Range = tuple[float, float]
 
@@ -28,8 +34,9 @@ class Calibration:
     ranges: dict[int, Range]
     n_calibrated: int  # pictures that the ranges come from
     n_checked: int  # pictures that the mAPs come from
-    map_fp32: float
+    map_fp32: float  # of all channels
     map_int8: float
+    reductions: tuple[Reduction, ...]  # which channels the 8-bit network has
 
     @property
     def loss(self) -> float:
@@ -93,17 +100,16 @@ def find_calibration(weights: Path, cfg: Cfg) -> Calibration | None:
     digest = sha256_of(weights)
     for path in _places(weights, cfg, digest):
         try:
-            found = json.loads(path.read_text(encoding="utf-8"))
+            with path.open("rb") as file, np.load(file) as arrays:
+                calibration = _from_arrays(dict(arrays))
         except (FileNotFoundError, NotADirectoryError):
             continue
-        except (OSError, ValueError) as error:
+        except OSError as error:
             raise DroptrackError(f"{path}: cannot be read: {error}; delete it") from None
-        try:
-            ranges = {int(layer): (float(a), float(b)) for layer, (a, b) in found["ranges"].items()}
-            calibration = Calibration(**{**found, "ranges": ranges})
-        except (TypeError, KeyError, ValueError, AttributeError):
+        except (TypeError, KeyError, ValueError, AttributeError, zipfile.BadZipFile):
             raise DroptrackError(f"{path}: is no calibration; delete it") from None
-        if calibration.weights_sha256 == digest and set(ranges) == set(quantised_layers(cfg)):
+        layers = set(calibration.ranges)
+        if calibration.weights_sha256 == digest and layers == set(quantised_layers(cfg)):
             return calibration
     return None
 
@@ -120,12 +126,13 @@ def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path
             f"{calibration.map_int8:.4f} on {calibration.n_checked} pictures, by more than "
             f"{MAX_LOSS}; use bf16, or calibrate on more pictures"
         )
-    text = json.dumps(asdict(calibration), indent=1) + "\n"
+    arrays = _to_arrays(calibration)
     for path in _places(weights, cfg, calibration.weights_sha256):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             partial = path.with_name(path.name + ".partial")
-            partial.write_text(text, encoding="utf-8")
+            with partial.open("wb") as file:
+                np.savez(file, **arrays)
             os.replace(partial, path)
         except OSError:
             continue
@@ -133,8 +140,30 @@ def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path
     raise DroptrackError(f"{weights}: neither its folder nor the user's cache is writable")
 
 
+def _to_arrays(calibration: Calibration) -> dict[str, Any]:
+    """What a calibration's file holds: the arrays, and the rest as JSON."""
+    about = {key: value for key, value in vars(calibration).items() if key != "reductions"}
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
+    for change in calibration.reductions:
+        arrays[f"kept_{change.layer}"] = change.kept
+        arrays[f"kernel_{change.layer}"] = change.kernel
+        arrays[f"shift_{change.layer}"] = change.shift
+    return arrays
+
+
+def _from_arrays(arrays: dict[str, Any]) -> Calibration:
+    about = json.loads(str(arrays["about"]))
+    ranges = {int(layer): (float(a), float(b)) for layer, (a, b) in about["ranges"].items()}
+    layers = [int(name.removeprefix("kept_")) for name in arrays if name.startswith("kept_")]
+    reductions = tuple(
+        Reduction(i, arrays[f"kept_{i}"], arrays[f"kernel_{i}"], arrays[f"shift_{i}"])
+        for i in layers
+    )
+    return Calibration(**{**about, "ranges": ranges, "reductions": reductions})
+
+
 def _places(weights: Path, cfg: Cfg, digest: str) -> tuple[Path, Path]:
     size = f"{cfg.width}x{cfg.height}"
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "droptrack"
-    beside = weights.with_name(f"{weights.stem}-int8-{size}.json")
-    return beside, cache / f"{digest}-int8-{size}.json"
+    beside = weights.with_name(f"{weights.stem}-int8-{size}.npz")
+    return beside, cache / f"{digest}-int8-{size}.npz"

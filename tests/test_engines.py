@@ -1,7 +1,6 @@
 """Every engine finds what OpenCV finds with the same weights; int8 is calibrated and checked."""
 
 import importlib.util
-import json
 import shutil
 import sys
 from collections.abc import Callable
@@ -275,7 +274,7 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
 
 def calibration(weights: Path, loss: float = 0.0) -> Calibration:
     ranges = dict.fromkeys(quantised_layers(CFG), (-1.0, 10.0))
-    return Calibration(sha256_of(weights), 960, 480, ranges, 8, 9, 0.99, 0.99 - loss)
+    return Calibration(sha256_of(weights), 960, 480, ranges, 8, 9, 0.99, 0.99 - loss, ())
 
 
 def test_a_calibration_is_kept_beside_the_weights_and_holds_for_them_only(tmp_path: Path) -> None:
@@ -283,14 +282,15 @@ def test_a_calibration_is_kept_beside_the_weights_and_holds_for_them_only(tmp_pa
     weights.write_bytes(b"one")
     kept = calibration(weights)
     path = write_calibration(weights, CFG, kept)
-    assert path == tmp_path / "mine-int8-960x480.json"
+    assert path == tmp_path / "mine-int8-960x480.npz"
     assert find_calibration(weights, CFG) == kept
     assert find_calibration(weights, resized(CFG, 416, 224)) is None
     weights.write_bytes(b"two")
     assert find_calibration(weights, CFG) is None
-    path.write_text("{}")
-    with pytest.raises(DroptrackError, match=r"json: is no calibration"):
-        find_calibration(weights, CFG)
+    for damage in (b"{}", path.read_bytes()[:200]):
+        path.write_bytes(damage)
+        with pytest.raises(DroptrackError, match=r"npz: is no calibration"):
+            find_calibration(weights, CFG)
 
 
 def test_a_calibration_goes_to_the_cache_where_the_weights_cannot_have_it(
@@ -299,7 +299,7 @@ def test_a_calibration_goes_to_the_cache_where_the_weights_cannot_have_it(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     weights = tmp_path / "mine.weights"
     weights.write_bytes(b"one")
-    (tmp_path / "mine-int8-960x480.json.partial").mkdir()  # so that it cannot be written
+    (tmp_path / "mine-int8-960x480.npz.partial").mkdir()  # so that it cannot be written
     kept = calibration(weights)
     path = write_calibration(weights, CFG, kept)
     assert path.parent == tmp_path / "cache" / "droptrack"
@@ -326,9 +326,13 @@ def test_the_command_calibrates_on_a_data_set(tmp_path: Path) -> None:
     arguments += ["--data", str(data / "obj.data"), "--size", "480x256"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    kept = json.loads((tmp_path / "mine-int8-480x256.json").read_text())
-    assert (kept["n_calibrated"], kept["n_checked"]) == (3, 4)
-    assert kept["map_fp32"] > 0.9
-    assert kept["map_fp32"] - kept["map_int8"] <= quantisation.MAX_LOSS
-    network = Network(resized(CFG, 480, 256), weights, 0.25, 0.45)
+    cfg = resized(CFG, 480, 256)
+    kept = find_calibration(weights, cfg)
+    assert kept is not None
+    assert (kept.n_calibrated, kept.n_checked) == (3, 4)
+    assert kept.map_fp32 > 0.9
+    assert kept.loss <= quantisation.MAX_LOSS
+    assert [change.layer for change in kept.reductions] == [12, 14, 21]
+    assert all(len(change.kept) < 1024 for change in kept.reductions)
+    network = Network(cfg, weights, 0.25, 0.45)
     assert choose_detector(network, precision=Precision.int8).engine.name == "openvino int8"

@@ -4,7 +4,7 @@ import functools
 import os
 import queue
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import cv2
 import numpy as np
@@ -119,18 +119,25 @@ def computes_int8() -> bool:
     return "INT8" in core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
 
 
+def layer_outputs(
+    cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
+) -> Iterator[dict[int, Float32s]]:
+    """For each frame what layers put out (1, C, H, W), in fp32, by layer."""
+    model = core().read_model(onnx_model(cfg, weights, taps=layers).SerializeToString())
+    compiled = core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    for frame in frames:
+        size = (cfg.width, cfg.height)
+        outputs = compiled(cv2.dnn.blobFromImages([frame], 1 / 255, size, swapRB=True))
+        yield {layer: outputs[f"layer_{layer}"] for layer in layers}
+
+
 def output_ranges(
     cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
 ) -> dict[int, Range]:
     """The least and largest value that layers put out, in fp32, over frames, by layer."""
-    model = core().read_model(onnx_model(cfg, weights, taps=layers).SerializeToString())
-    compiled = core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-    lows, highs = [], []
-    for frame in frames:
-        size = (cfg.width, cfg.height)
-        outputs = compiled(cv2.dnn.blobFromImages([frame], 1 / 255, size, swapRB=True))
-        maps = [outputs[f"layer_{layer}"] for layer in layers]
-        lows.append([float(values.min()) for values in maps])
-        highs.append([float(values.max()) for values in maps])
-    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
-    return {layer: (float(low[i]), float(high[i])) for i, layer in enumerate(layers)}
+    ranges = dict.fromkeys(layers, (np.inf, -np.inf))
+    for outputs in layer_outputs(cfg, weights, layers, frames):
+        for layer, values in outputs.items():
+            low, high = ranges[layer]
+            ranges[layer] = min(low, float(values.min())), max(high, float(values.max()))
+    return ranges

@@ -54,6 +54,8 @@ def constants(params: Params) -> Constants:
 class Engine:
     """A running simulation: holds the fields in the kernels' layout."""
 
+    device = "the CPU"
+
     def __init__(self, params: Params, state: cg.State) -> None:
         self.params = params
         self._state = replace(state, f=state.f.copy())

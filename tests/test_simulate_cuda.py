@@ -8,16 +8,21 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from data_gen import color_gradient as cg
 from data_gen import free_energy as fe
 from data_gen.constriction_geometry import Params, solid_nodes
 from data_gen.settings import engine, usable_device
+from data_gen.simulate import app
 from droptrack import DroptrackError
+from droptrack.trajectories import read_trajectories
 
 numba = pytest.importorskip("numba")
 
@@ -197,6 +202,35 @@ def test_the_flow_alone_runs_without_droplets() -> None:
     assert_same(running.state, state, atol=1e-13)
 
 
+def shear_command(out: Path, *options: str) -> list[str]:
+    values = vars(tiny_shear(rest_steps=0)) | {"width": 28}
+    del values["cores"]
+    settings = [part for n, v in values.items() for part in ("--set", f"{n}={v}")]
+    return ["shear", "--cores", "2", "--every", "1", "--out", str(out), *settings, *options]
+
+
+@on_cuda
+def test_the_command_runs_on_cuda_and_says_so(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, shear_command(tmp_path, "--steps", "1", "--device", "cuda"))
+    assert done.exit_code == 0, done.output
+    assert "updates/s on " in done.output
+    assert "the CPU" not in done.output
+    assert read_trajectories(tmp_path / "truth.csv")[0].frame.tolist() == [0, 0, 1, 1]
+
+
+def test_cuda_is_refused_with_the_cure_where_it_is_not_to_be_had(tmp_path: Path) -> None:
+    if WORKS:
+        pytest.skip("it is to be had")
+    done = CliRunner().invoke(app, shear_command(tmp_path, "--steps", "2", "--device", "cuda"))
+    assert done.exit_code == 1
+    assert len(done.output.splitlines()) == 1
+    cure = "--device cpu" if find_spec("numba_cuda") else "droptrack[simulate-cuda]"
+    assert cure in done.output
+    auto = CliRunner().invoke(app, shear_command(tmp_path, "--steps", "2"))
+    assert auto.exit_code == 0, auto.output
+    assert "updates/s on the CPU" in auto.output
+
+
 @pytest.mark.skipif(SIMULATED, reason="is what runs in the simulator")
 def test_the_kernels_are_the_reference_in_the_simulator() -> None:
     done = subprocess.run(
@@ -204,4 +238,4 @@ def test_the_kernels_are_the_reference_in_the_simulator() -> None:
         capture_output=True, text=True, check=False, env=os.environ | {"NUMBA_ENABLE_CUDASIM": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "4 passed" in done.stdout
+    assert "5 passed" in done.stdout

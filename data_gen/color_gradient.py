@@ -231,23 +231,31 @@ def stream_in_window(leaving: Floats, solid: Bools, origin: NDArray[np.int64]) -
 
 def recentre(params: Params, state: State) -> State:
     """Move every window by whole nodes so that its droplet's box is in its middle."""
-    labels, origins = np.zeros_like(state.labels), state.origins.copy()
-    h, w = state.labels.shape[1:]
+    labels, origins = centred(params, state.labels, state.origins)
+    return State(state.f, state.emulsion, labels, origins, state.step)
+
+
+def centred(
+    params: Params, labels: Floats, origins: NDArray[np.int64]
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Labels (N, h, w) and origins (N, 2) of windows with their droplets' boxes in the middle."""
+    moved, corners = np.zeros_like(labels), origins.copy()
+    h, w = labels.shape[1:]
     room = np.array([params.height - h, params.width - w])
-    for k, label in enumerate(state.labels):
+    for k, label in enumerate(labels):
         inside = label > 0.5
         rows, columns = np.nonzero(inside.any(axis=1))[0], np.nonzero(inside.any(axis=0))[0]
         if not len(rows):
-            labels[k] = label  # dissolved: the checks report it
+            moved[k] = label  # dissolved: the checks report it
             continue
         centre = np.array([rows[0] + rows[-1] + 1, columns[0] + columns[-1] + 1]) / 2
-        wanted = np.round(state.origins[k] + centre - np.array([h, w]) / 2).astype(np.int64)
-        origins[k] = np.clip(wanted, 0, room)
-        dy, dx = (origins[k] - state.origins[k]).tolist()
+        wanted = np.round(origins[k] + centre - np.array([h, w]) / 2).astype(np.int64)
+        corners[k] = np.clip(wanted, 0, room)
+        dy, dx = (corners[k] - origins[k]).tolist()
         kept = label[max(dy, 0) : h + min(dy, 0), max(dx, 0) : w + min(dx, 0)]
         y, x = max(-dy, 0), max(-dx, 0)
-        labels[k, y : y + kept.shape[0], x : x + kept.shape[1]] = kept
-    return State(state.f, state.emulsion, labels, origins, state.step)
+        moved[k, y : y + kept.shape[0], x : x + kept.shape[1]] = kept
+    return moved, corners
 
 
 def patches(state: State) -> list[tuple[Floats, Floats]]:

@@ -36,23 +36,30 @@ def spans_of(labels: Floats) -> NDArray[np.int64]:
     return np.ascontiguousarray(np.stack([first, last], axis=-1).astype(np.int64))
 
 
+def constants(params: Params) -> Constants:
+    """The constants of a parameter set."""
+    p = params
+    values = (
+        p.beta,
+        1 / p.tau,
+        4.5 * p.sigma / p.tau,
+        p.near_contact * p.sigma,
+        p.contact_distance,
+        p.wall_force,
+        p.rho_0,
+    )
+    return Constants(*map(float, values))
+
+
 class Engine:
     """A running simulation: holds the fields in the kernels' layout."""
+
+    device = "the CPU"
 
     def __init__(self, params: Params, state: cg.State) -> None:
         self.params = params
         self._state = replace(state, f=state.f.copy())
-        p = params
-        values = (
-            p.beta,
-            1 / p.tau,
-            4.5 * p.sigma / p.tau,
-            p.near_contact * p.sigma,
-            p.contact_distance,
-            p.wall_force,
-            p.rho_0,
-        )
-        self._constants = Constants(*map(float, values))
+        self._constants = constants(params)
         solid = solid_nodes(params)
         self._links = wall_links(solid)
         self._fluid = np.where(solid, 0.0, 1.0)

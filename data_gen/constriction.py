@@ -15,7 +15,7 @@ from data_gen.camera import Camera
 from data_gen.constriction_geometry import Params, solid_nodes
 from data_gen.lattice import Floats
 from data_gen.recording import Recorder, Recording
-from data_gen.settings import changed, compiled
+from data_gen.settings import Device, changed, compiled, engine, usable_device
 from droptrack import DroptrackError
 
 if TYPE_CHECKING:
@@ -36,17 +36,23 @@ class Constriction:
 
     name = "constriction"
 
-    def __init__(self, params: Params, state: cg.State) -> None:
+    def __init__(self, params: Params, state: cg.State, device: Device = "cpu") -> None:
         self.params = params
         self.parameters: Mapping[str, object] = asdict(params)
         self._fluid = ~solid_nodes(params)
         self._start = cg.masses(state)
-        self._engine: Engine = compiled("color_gradient_engine").Engine(params, state)
+        self._make: type[Engine] = engine("color_gradient", device)
+        self._engine: Engine = self._make(params, state)
 
     @property
     def step(self) -> int:
         """Steps done."""
         return self._engine.state.step
+
+    @property
+    def device(self) -> str:
+        """What it runs on."""
+        return self._engine.device
 
     @property
     def size(self) -> tuple[int, int]:
@@ -110,7 +116,7 @@ class Constriction:
         """Go on from a checkpoint's state."""
         values = dict(arrays) | {"step": int(arrays["step"])}
         self._start = values.pop("start")
-        self._engine = compiled("color_gradient_engine").Engine(self.params, cg.State(**values))
+        self._engine = self._make(self.params, cg.State(**values))
 
 
 def constriction(
@@ -127,7 +133,8 @@ def constriction(
     noise: Annotated[float, typer.Option(help="Sigma of its noise, grey levels.")] = 0.0,
     uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
     fps: Annotated[int, typer.Option(min=1)] = 25,
-    threads: Annotated[int, typer.Option(min=0, help="0: all.")] = 0,
+    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "auto",
+    threads: Annotated[int, typer.Option(min=0, help="Of the CPU; 0: all.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="A parameter, such as sigma=0.04.")
@@ -144,7 +151,8 @@ def constriction(
     camera = Camera(scale, blur, noise, uneven, seed)
     recording = Recording(params.rest_steps, last, every or EVERY[size], fps, camera)
     compiled("color_gradient_engine", threads)
-    simulation = Constriction(params, cg.initial_state(params))
+    device = usable_device(device, lambda text: typer.echo(text, err=True))
+    simulation = Constriction(params, cg.initial_state(params), device)
     summary = Recorder(simulation, out, recording).run(resume=resume)
     through = int(simulation.checks()["through"])
     typer.echo(f"{summary}; {through} of {params.droplets} droplets through")

@@ -29,6 +29,8 @@ def constants(params: fe.Params) -> Constants:
 class Engine:
     """A running simulation: holds the fields in the kernels' layout."""
 
+    device = "the CPU"
+
     def __init__(self, params: fe.Params, state: fe.State) -> None:
         self.params = params
         self._constants = constants(params)

@@ -46,6 +46,10 @@ class Simulation(Protocol):
     def size(self) -> tuple[int, int]:
         """Width and height in nodes."""
 
+    @property
+    def device(self) -> str:
+        """What it runs on."""
+
     def run(self, steps: int) -> None:
         """Advance."""
 
@@ -152,7 +156,8 @@ class Recorder:
         speed = done / elapsed if done else 0.0
         return (
             f"{self.out / 'video.avi'}: {len(self.truth)} frames, {self.simulation.step} steps; "
-            f"{speed:.4g} steps/s, {speed * width * height / 1e6:.3g} million lattice updates/s"
+            f"{speed:.4g} steps/s, {speed * width * height / 1e6:.3g} million lattice updates/s "
+            f"on {self.simulation.device}"
         )
 
     def _ask_to_stop(self, *_: object) -> None:
@@ -164,7 +169,10 @@ class Recorder:
         frames = (recording.last - recording.first) // recording.every + 1
         with progress_bar("frames") as progress:
             task = progress.add_task(
-                simulation.name, total=frames, completed=len(self.truth), note="starting"
+                f"{simulation.name} on {simulation.device}",
+                total=frames,
+                completed=len(self.truth),
+                note="starting",
             )
             while len(self.truth) < frames and not (self.truth and simulation.finished()):
                 clock, before = time.perf_counter(), simulation.step

@@ -1,13 +1,17 @@
-"""What the simulations' commands share: parameters by name, and the compiled engines."""
+"""What the simulations' commands share: parameters by name, the device, the compiled engines."""
 
 import importlib
-from collections.abc import Iterable
+import importlib.util
+import os
+from collections.abc import Callable, Iterable
 from dataclasses import fields, replace
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from droptrack import DroptrackError
 
 P = TypeVar("P")
+Device = Literal["auto", "cpu", "cuda"]
+ENGINES = {"cpu": "engine", "cuda": "cuda_engine"}  # data_gen/{model}_{this}.py
 
 
 def changed(params: P, settings: Iterable[str]) -> P:
@@ -46,3 +50,33 @@ def compiled(module: str, threads: int = 0) -> Any:
             raise DroptrackError(f"--threads {threads}: this machine has {most}")
         numba.set_num_threads(threads)
     return importlib.import_module(f"data_gen.{module}")
+
+
+def engine(model: str, device: Device) -> Any:
+    """The Engine class of `color_gradient` or `free_energy` for a device, `cpu` or `cuda`."""
+    return compiled(f"{model}_{ENGINES[device]}").Engine
+
+
+def usable_device(device: Device, say: Callable[[str], None]) -> Device:
+    """`cpu` or `cuda`, as wanted; for `auto` the GPU where there is one that works.
+
+    `auto` tells `say` why a GPU for which numba-cuda is installed is not used. Raises
+    DroptrackError where `cuda` is wanted and not to be had.
+    """
+    if device == "cpu":
+        return device
+    simulated = os.environ.get("NUMBA_ENABLE_CUDASIM", "0") != "0"
+    if not (simulated or importlib.util.find_spec("numba_cuda")):
+        if device == "auto":
+            return "cpu"
+        raise DroptrackError(
+            "--device cuda needs numba-cuda: pip install 'droptrack[simulate-cuda]'"
+        )
+    try:
+        compiled("cuda_device").device_name()
+    except DroptrackError as error:
+        if device == "cuda":
+            raise
+        say(f"not used: {error}")
+        return "cpu"
+    return "cuda"

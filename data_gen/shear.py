@@ -14,7 +14,7 @@ from data_gen import lattice
 from data_gen.camera import Camera
 from data_gen.lattice import Floats
 from data_gen.recording import Recorder, Recording
-from data_gen.settings import changed, compiled
+from data_gen.settings import Device, changed, compiled, engine, usable_device
 from droptrack import DroptrackError
 
 if TYPE_CHECKING:
@@ -29,16 +29,22 @@ class Shear:
 
     name = "shear"
 
-    def __init__(self, params: fe.Params, state: fe.State) -> None:
+    def __init__(self, params: fe.Params, state: fe.State, device: Device = "cpu") -> None:
         self.params = params
         self.parameters: Mapping[str, object] = asdict(params)
         self._start = fe.masses(fe.initial_state(params))
-        self._engine: Engine = compiled("free_energy_engine").Engine(params, state)
+        self._make: type[Engine] = engine("free_energy", device)
+        self._engine: Engine = self._make(params, state)
 
     @property
     def step(self) -> int:
         """Steps done."""
         return self._engine.state.step
+
+    @property
+    def device(self) -> str:
+        """What it runs on."""
+        return self._engine.device
 
     @property
     def size(self) -> tuple[int, int]:
@@ -100,7 +106,7 @@ class Shear:
     def load(self, arrays: Any) -> None:
         """Go on from a checkpoint's state."""
         state = fe.State(**(dict(arrays) | {"step": int(arrays["step"])}))
-        self._engine = compiled("free_energy_engine").Engine(self.params, state)
+        self._engine = self._make(self.params, state)
 
 
 def shear(
@@ -117,7 +123,8 @@ def shear(
     uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
     fps: Annotated[int, typer.Option(min=1)] = 25,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
-    threads: Annotated[int, typer.Option(min=0, help="0: all.")] = 0,
+    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "auto",
+    threads: Annotated[int, typer.Option(min=0, help="Of the CPU; 0: all.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     change: Annotated[
         list[str] | None, typer.Option("--set", help="A parameter, such as viscosity=1.2.")
@@ -132,5 +139,6 @@ def shear(
     last = params.rest_steps + (steps or STEPS[size])
     recording = Recording(params.rest_steps, last, every, fps, camera)
     compiled("free_energy_engine", threads)
-    simulation = Shear(params, fe.initial_state(params))
+    device = usable_device(device, lambda text: typer.echo(text, err=True))
+    simulation = Shear(params, fe.initial_state(params), device)
     typer.echo(Recorder(simulation, out, recording).run(resume=resume))

@@ -34,7 +34,10 @@ RUNNER = CliRunner()
 
 def tiny_shear(out: Path, *options: str) -> list[str]:
     settings = [part for setting in TINY for part in ("--set", setting)]
-    return ["shear", "--cores", "2", "--every", "10", "--out", str(out), *settings, *options]
+    return [
+        "shear", "--cores", "2", "--every", "10", "--device", "cpu", "--out", str(out), *settings,
+        *options,
+    ]  # fmt: skip
 
 
 def tiny_constriction() -> Constriction:

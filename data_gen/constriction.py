@@ -133,7 +133,7 @@ def constriction(
     noise: Annotated[float, typer.Option(help="Sigma of its noise, grey levels.")] = 0.0,
     uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
     fps: Annotated[int, typer.Option(min=1)] = 25,
-    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "auto",
+    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="Of the CPU; 0: all.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     change: Annotated[

@@ -123,7 +123,7 @@ def shear(
     uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
     fps: Annotated[int, typer.Option(min=1)] = 25,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
-    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "auto",
+    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "cpu",
     threads: Annotated[int, typer.Option(min=0, help="Of the CPU; 0: all.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
     change: Annotated[

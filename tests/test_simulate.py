@@ -35,7 +35,7 @@ RUNNER = CliRunner()
 def tiny_shear(out: Path, *options: str) -> list[str]:
     settings = [part for setting in TINY for part in ("--set", setting)]
     return [
-        "shear", "--cores", "2", "--every", "10", "--device", "cpu", "--out", str(out), *settings,
+        "shear", "--cores", "2", "--every", "10", "--out", str(out), *settings,
         *options,
     ]  # fmt: skip
 

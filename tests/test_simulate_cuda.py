@@ -226,7 +226,7 @@ def test_cuda_is_refused_with_the_cure_where_it_is_not_to_be_had(tmp_path: Path)
     assert len(done.output.splitlines()) == 1
     cure = "--device cpu" if find_spec("numba_cuda") else "droptrack[simulate-cuda]"
     assert cure in done.output
-    auto = CliRunner().invoke(app, shear_command(tmp_path, "--steps", "2"))
+    auto = CliRunner().invoke(app, shear_command(tmp_path, "--steps", "2", "--device", "auto"))
     assert auto.exit_code == 0, auto.output
     assert "updates/s on the CPU" in auto.output
 

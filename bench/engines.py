@@ -29,7 +29,7 @@ from data_gen.droplets import WHITE, draw_ellipses
 from data_gen.make_dataset import JPEG_QUALITY
 from data_gen.scenes import SCENES
 from droptrack import DroptrackError
-from droptrack.appearance import describe
+from droptrack.appearance import describe_nothing
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.darknet_files import (
     Cfg,
@@ -110,7 +110,7 @@ def track(
     tracker, _ = make_tracker(TrackerName.droplet, Parameters())
     with TrajectoryWriter(out, {}, FURTHER_COLUMNS) as rows:
         results = Results(rows)
-        for _ in follow(frames, detector, tracker, describe, results, batch=batch):
+        for _ in follow(frames, detector, tracker, describe_nothing, results, batch=batch):
             pass
     return results
 

@@ -42,6 +42,11 @@ def describe(frame: NDArray[np.uint8], boxes: Floats) -> Floats:
     return np.hstack([patches * np.sqrt(1 - SIZE_SHARE), size * np.sqrt(SIZE_SHARE)])
 
 
+def describe_nothing(frame: NDArray[np.uint8], boxes: Floats) -> Floats:
+    """Descriptors (N, 0), for trackers that do not look at droplets."""
+    return np.zeros((len(boxes), 0))
+
+
 def describe_sizes(boxes: Floats) -> Floats:
     """Unit descriptors (N, 2) of boxes (N, 4) by their size alone, where there is no picture."""
     angle = TURN_PER_E * np.log(np.maximum(boxes[:, 2] * boxes[:, 3], 1e-6)) / 2

@@ -106,7 +106,7 @@ def main(
     if video is None or descriptors is not None:
         raise DroptrackError("name a video, or a file with --detections (and --descriptors)")
     weights = weights or SHIPPED_WEIGHTS
-    describe = choose_appearance(appearance, appearance_weights, appearance_size)
+    describe = choose_appearance(tracker, appearance, appearance_weights, appearance_size)
     network = read_cfg(cfg or find_cfg(weights))
     if size is not None:
         network = resized(network, *parse_size(size))

@@ -5,7 +5,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from droptrack import deepsort
-from droptrack.appearance import describe
+from droptrack.appearance import describe, describe_nothing
 from droptrack.appearance_network import NetworkAppearance
 from droptrack.deepsort import Parameters
 from droptrack.droplet_tracker import DropletParameters, DropletTracker
@@ -47,7 +47,12 @@ def make_tracker(
 
 
 def choose_appearance(
-    network: Path | None, weights: Path | None, size: tuple[int, int]
+    tracker: TrackerName, network: Path | None, weights: Path | None, size: tuple[int, int]
 ) -> Describe:
-    """What describes the droplets: a network of the user's, else grey levels and size."""
-    return describe if network is None else NetworkAppearance(network, weights, size)
+    """What describes droplets for a tracker: a network of the user's, else grey levels and size.
+
+    Nothing for the droplet tracker without such a network, which does not look then.
+    """
+    if network is not None:
+        return NetworkAppearance(network, weights, size)
+    return describe if tracker is TrackerName.deepsort else describe_nothing

@@ -209,10 +209,14 @@ class DropletTracker:
         if self.parameters.learn_noise:
             self._learn(rows, innovation, np.log(boxes[:, 2:]) - tracks.log_sizes[rows])
         jumped = (innovation**2).sum(axis=1) > JUMP_FROM * self._spread()[rows] / diameters**2
-        noise = np.where(jumped, JUMP, self.noise) * diameters
-        corrected = motion.update(tracks.state[rows], boxes[:, :2], noise)
-        for name, values in vars(corrected).items():
-            getattr(tracks.state, name)[rows] = values
+        sure, unsure = rows[~jumped], rows[jumped]
+        noise = self.noise * diameters[~jumped]
+        for part, corrected in (
+            (sure, motion.update(tracks.state[sure], boxes[~jumped, :2], noise)),
+            (unsure, motion.jump(tracks.state[unsure], boxes[jumped, :2])),
+        ):
+            for name, values in vars(corrected).items():
+                getattr(tracks.state, name)[part] = values
         tracks.innovation[rows] = innovation
         tracks.hits[rows] += 1
         tracks.missed[rows] = 0

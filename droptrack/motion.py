@@ -47,6 +47,17 @@ def update(state: Motion, measured: Floats, noise: Floats) -> Motion:
     )
 
 
+def jump(state: Motion, measured: Floats) -> Motion:
+    """Correct predictions with positions (N, 2) much too far off, as likely wrong as right.
+
+    Mean and covariance of both cases: nothing was measured, or the droplet has jumped there and
+    its velocity has changed by as much, as in a plastic event.
+    """
+    half = (measured - state.position) / 2
+    between = (half**2).sum(axis=1, keepdims=True) / 2  # a coordinate
+    return Motion(state.position + half, state.velocity + half, state.covariance + between)
+
+
 def smooth(filtered: Motion, predicted: Motion, later: Motion) -> Motion:
     """One step back of Rauch, Tung & Striebel (1965).
 

@@ -2,6 +2,7 @@
 
 import tracemalloc
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from droptrack.recorder import Recorder
 from droptrack.tracks import Update
 from tests.constriction_detections import SEEDS, load
 
+DATA = Path(__file__).parent / "data"
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 
@@ -199,3 +201,17 @@ def test_finished_tracks_leave_the_memory() -> None:
         held.append(len(tracker.tracks.ids) + kept + len(recorder._confirmed))
     assert int(update.track_ids.max()) > 250
     assert max(held[100:200]) >= max(held[200:])
+
+
+def test_droplets_that_slip_past_each_other_keep_their_identities() -> None:
+    """A plastic event: one moves 0.28 diameters more than before, from one frame to the next."""
+    rows = np.loadtxt(DATA / "plastic_event.csv", delimiter=",", skiprows=3)
+    tracker = DropletTracker(DropletParameters())
+    identities: dict[int, set[int]] = {}
+    for frame in range(22):
+        found = rows[rows[:, 0] == frame]
+        update = tracker.update(found[:, 2:], np.zeros((len(found), 0)))
+        for droplet, track_id in zip(found[:, 1].astype(int), update.track_ids, strict=True):
+            identities.setdefault(droplet, set()).add(int(track_id))
+    assert len(identities) == 6
+    assert all(len(ids) == 1 for ids in identities.values())

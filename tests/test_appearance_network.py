@@ -1,10 +1,13 @@
 """Networks of the user's that say what droplets look like."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from droptrack import DroptrackError
 from droptrack.appearance_network import NetworkAppearance
@@ -50,6 +53,80 @@ def test_a_darknet_network_gives_what_torch_computes(tmp_path: Path) -> None:
     expected = torch.nn.functional.leaky_relu(out, 0.1).reshape(100, -1).numpy()
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     np.testing.assert_allclose(looks, expected, atol=1e-5)
+
+
+def onnx_file(
+    path: Path, kernels: NDArray[np.float32], biases: NDArray[np.float32], *, batched: bool
+) -> Path:
+    """A network of one convolution of stride 2, a ReLU and the mean of each channel.
+
+    Not `batched`: the output has one row, whatever comes in.
+    """
+    onnx = pytest.importorskip("onnx")
+    make, real = onnx.helper, onnx.TensorProto.FLOAT
+    n, batch, first = len(kernels), "batch" if batched else 1, 0 if batched else 1
+    graph = make.make_graph(
+        [
+            make.make_node(
+                "Conv", ["x", "k", "b"], ["c"], kernel_shape=[3, 3], strides=[2, 2], pads=[1] * 4
+            ),
+            make.make_node("Relu", ["c"], ["r"]),
+            make.make_node("GlobalAveragePool", ["r"], ["m"]),
+            make.make_node("Reshape", ["m", "s"], ["y"]),
+        ],
+        "look",
+        [make.make_tensor_value_info("x", real, [batch, 3, 8, 16])],
+        [make.make_tensor_value_info("y", real, [batch, n])],
+        [
+            onnx.numpy_helper.from_array(array, name)
+            for name, array in (("k", kernels), ("b", biases), ("s", np.array([first, -1])))
+        ],
+    )
+    model = make.make_model(graph, opset_imports=[make.make_opsetid("", 13)], ir_version=8)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
+    return path
+
+
+@pytest.mark.parametrize(("batched", "n_runs"), [(True, 2), (False, 100)])
+def test_an_onnx_network_gives_what_numpy_computes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batched: bool, n_runs: int
+) -> None:
+    """A hundred boxes, in batches of 64; a network for single pictures gets one after the other."""
+    rng = np.random.default_rng(3)
+    kernels = rng.normal(0, 1, (5, 3, 3, 3)).astype(np.float32)
+    biases = rng.normal(0, 1, 5).astype(np.float32)
+    describe = NetworkAppearance(
+        onnx_file(tmp_path / "look.onnx", kernels, biases, batched=batched), None, (16, 8)
+    )
+    frame = rng.integers(0, 256, (60, 80, 3)).astype(np.uint8)
+    corners = rng.integers([0, 0], [64, 52], (100, 2))
+    boxes = np.hstack([corners + np.array([8, 4]), np.tile([16, 8], (100, 1))]).astype(float)
+    describe(frame, boxes[:2])  # by now it is known what the network takes at once
+    counted = CountedRuns(describe._net)
+    monkeypatch.setattr(describe, "_net", counted)
+    looks = describe(frame, boxes)
+    assert counted.n_runs == n_runs
+    crops = np.stack([frame[y : y + 8, x : x + 16, ::-1] for x, y in corners]) / 255
+    padded = np.pad(crops, ((0, 0), (1, 1), (1, 1), (0, 0)))
+    windows = sliding_window_view(padded, (3, 3), axis=(1, 2))[:, ::2, ::2]  # (N, 4, 8, 3, 3, 3)
+    out = np.einsum("nyxcij,kcij->nkyx", windows, kernels) + biases[:, None, None]
+    expected = np.maximum(out, 0).mean(axis=(2, 3))
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    assert expected.std(axis=0).min() > 0.005  # the crops do not all look alike
+    np.testing.assert_allclose(looks, expected, atol=1e-5)
+
+
+class CountedRuns:
+    """A network of OpenCV's that counts how often it is run."""
+
+    def __init__(self, net: Any) -> None:
+        self.net, self.n_runs = net, 0
+        self.setInput = net.setInput
+
+    def forward(self) -> Any:
+        self.n_runs += 1
+        return self.net.forward()
 
 
 def test_boxes_beyond_the_picture_have_looks_and_no_boxes_have_none(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
 """A file of detections -> tracks -> trajectories: no video, no network."""
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from math import ceil
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ from numpy.typing import NDArray
 
 from droptrack import DroptrackError, __version__
 from droptrack.appearance import describe_sizes
-from droptrack.detections import Detections, xyxy_from_boxes
-from droptrack.mot_files import read_detections
+from droptrack.detections import Detections
+from droptrack.mot_files import BLOCK, open_detections
 from droptrack.pipeline import FURTHER_COLUMNS, Results, finish
 from droptrack.recorder import Recorder
 from droptrack.report import Value
@@ -19,41 +20,51 @@ from droptrack.tracks import Tracker
 from droptrack.trajectories import TrajectoryWriter
 
 Floats = NDArray[np.float64]
+# rows (M,) of a file, from 0 -> unit descriptors (M, D)
+Looks = Callable[[NDArray[np.int64]], Floats]
 
 
-def read_descriptors(path: Path, frames: Sequence[NDArray[np.int64]]) -> list[Floats]:
-    """Unit descriptors (M, D) of each frame, from an .npy file with one row for each detection.
+def open_descriptors(path: Path, n: int) -> Looks:
+    """Unit descriptors of a file's detections, from an .npy file with a row for each of the n.
 
-    `frames`: the rows of each frame, as `mot_files.read_detections` gives them.
+    The file stays where it is: rows are read when they are asked for.
     """
     try:
-        table = np.load(path)
+        table = np.load(path, mmap_mode="r")
     except FileNotFoundError:
         raise DroptrackError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
         raise DroptrackError(f"{path}: cannot be read as .npy: {error}") from None
-    n = sum(len(rows) for rows in frames)
     if table.ndim != 2 or len(table) != n or not np.issubdtype(table.dtype, np.number):
         raise DroptrackError(f"{path}: should be {n} rows of numbers, not {table.shape}")
-    table = np.asarray(table, np.float64)
-    length = np.linalg.norm(table, axis=1, keepdims=True)
-    if not np.isfinite(length).all() or (length == 0).any():
-        row = int(np.flatnonzero(~np.isfinite(length[:, 0]) | (length[:, 0] == 0))[0])
-        raise DroptrackError(f"{path}: row {row + 1} has no direction")
-    return [(table / length)[rows] for rows in frames]
+    for start in range(0, n, BLOCK):
+        length = np.linalg.norm(np.asarray(table[start : start + BLOCK], np.float64), axis=1)
+        bad = np.flatnonzero(~np.isfinite(length) | (length == 0))
+        if len(bad):
+            raise DroptrackError(f"{path}: row {start + int(bad[0]) + 1} has no direction")
+
+    def looks(rows: NDArray[np.int64]) -> Floats:
+        some = np.asarray(table[rows], np.float64)
+        return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
+
+    return looks
 
 
 def follow_detections(
-    frames: Sequence[Detections], looks: Sequence[Floats] | None, tracker: Tracker, results: Results
+    frames: Iterable[tuple[Detections, NDArray[np.int64]]],
+    looks: Looks | None,
+    tracker: Tracker,
+    results: Results,
 ) -> Iterator[int]:
     """Track frame by frame into `results`; yields the number of frames done.
 
-    `looks`: unit descriptors (M, D) of each frame's detections; without, their sizes.
+    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them; `looks`: the unit
+    descriptors of rows; without, the detections' sizes.
     """
     recorder = Recorder(tracker.max_age)
     try:
-        for index, found in enumerate(frames):
-            look = describe_sizes(found.boxes) if looks is None else looks[index]
+        for index, (found, rows) in enumerate(frames):
+            look = describe_sizes(found.boxes) if looks is None else looks(rows)
             update = tracker.update(found.boxes, look)
             recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
             results.n_frames += 1
@@ -73,16 +84,20 @@ def track_detections(
     out: Path | None,
 ) -> None:
     """Track a file of detections into a folder, by default tracks/<the file's name>."""
-    frames, order = read_detections(detections)
-    looks = None if descriptors is None else read_descriptors(descriptors, order)
+    frames = open_detections(detections)
+    looks = None if descriptors is None else open_descriptors(descriptors, frames.n_rows)
+    if frames.out_of_order:
+        typer.echo(
+            f"{detections}: row {frames.out_of_order} belongs before the one above it: rows are "
+            "sorted by frame first",
+            err=True,
+        )
     out = out or Path("tracks") / detections.stem
     out.mkdir(parents=True, exist_ok=True)
-    corners = [xyxy_from_boxes(found.boxes)[:, 2:] for found in frames if len(found)]
-    size = np.ceil(np.concatenate([np.ones((1, 2)), *corners]).max(axis=0)).astype(int)
-    width, height = int(size[0]), int(size[1])
+    width, height = max(1, ceil(frames.right)), max(1, ceil(frames.bottom))
     about: dict[str, Value] = {
         "made by": f"droptrack {__version__}, droptrack.track",
-        "detections": f"{detections}, {len(frames)} frames",
+        "detections": f"{detections}, {frames.n_frames} frames",
         "units": "px, y points down; frames count from 0, one less than in the detections",
     }
     began = time.perf_counter()

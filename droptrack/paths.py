@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from droptrack.report import Value
 from droptrack.trajectories import Trajectories
 
-DRAWN_STEP_PX = 2.0  # least distance between points of a drawn line
+DRAWN_STEP_PX = 2.0  # least distance between points of a drawn line,
+MOST_POINTS = 4000  # which are no more than these: of a longer line every other one is kept
 
 
 @dataclass
@@ -25,6 +26,7 @@ class Path:
     n_bridged: int = 0
     diameters_px: float = 0.0  # their sum
     length_px: float = 0.0
+    step_px: float = DRAWN_STEP_PX
     points: "array[float]" = field(default_factory=lambda: array("f"))
 
     def add(self, frame: int, x: float, y: float, diameter_px: float, *, observed: bool) -> None:
@@ -34,8 +36,12 @@ class Path:
         self.n_observed += observed
         self.n_bridged += not observed
         self.diameters_px += diameter_px
-        if not self.points or hypot(x - self.points[-2], y - self.points[-1]) > DRAWN_STEP_PX:
+        if not self.points or hypot(x - self.points[-2], y - self.points[-1]) > self.step_px:
             self.points.extend((x, y))
+            if len(self.points) > 2 * MOST_POINTS:
+                pairs = np.frombuffer(self.points, np.float32).reshape(-1, 2)
+                self.points = array("f", pairs[::2].tobytes())
+                self.step_px *= 2
 
 
 class Paths:

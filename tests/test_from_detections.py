@@ -1,6 +1,7 @@
 """Tracking a file of detections: no video, no network."""
 
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,8 @@ from typer.testing import CliRunner
 from droptrack import DroptrackError
 from droptrack.__main__ import app
 from droptrack.detections import labels
-from droptrack.from_detections import read_descriptors
-from droptrack.mot_files import read_detections, write_detections
+from droptrack.from_detections import open_descriptors
+from droptrack.mot_files import BLOCK, MERGE_BLOCK, open_detections, write_detections
 from droptrack.trajectories import read_trajectories
 
 TWO = [[20.0, 30, 10, 12], [60.0, 30, 14, 10]]
@@ -38,24 +39,77 @@ def fails(*options: str) -> str:
 def test_a_file_reads_back_to_the_same_detections(tmp_path: Path) -> None:
     path = tmp_path / "d.txt"
     write_detections(path, [labels(TWO), labels([]), labels(TWO[:1])])
-    frames, rows = read_detections(path)
-    assert [found.boxes.tolist() for found in frames] == [TWO, [], TWO[:1]]
-    assert [r.tolist() for r in rows] == [[0, 1], [], [2]]
+    file = open_detections(path)
+    assert [found.boxes.tolist() for found, _ in file] == [TWO, [], TWO[:1]]
+    assert [rows.tolist() for _, rows in file] == [[0, 1], [], [2]]
+    assert (file.n_frames, file.n_rows, file.out_of_order) == (3, 3, 0)
+    assert (file.right, file.bottom) == (67, 36)
     assert path.read_text().splitlines()[0] == (
         "1,-1,15.000000,24.000000,10.000000,12.000000,1.000000"
     )
 
 
 def test_rows_in_any_order_more_columns_and_frames_that_skip(tmp_path: Path) -> None:
-    path = file_of(tmp_path, "4 -1 0 0 8 8 0.5 -1 -1 -1\n1 -1 2 0 8 8 0.9 -1 -1 -1\n")
-    frames, rows = read_detections(path)
+    path = file_of(tmp_path, "4 -1 0 0 8 8 0.5 -1 -1 -1\n\n1 -1 2 0 8 8 0.9 -1 -1 -1\n")
+    file = open_detections(path)
+    assert (file.n_frames, file.out_of_order) == (4, 2)
+    frames, rows = zip(*file, strict=True)
     assert [len(found) for found in frames] == [1, 0, 0, 1]
     assert (frames[0].scores.tolist(), frames[0].boxes[0].tolist()) == ([0.9], [6, 4, 8, 8])
     assert [r.tolist() for r in rows] == [[1], [], [], [0]]
 
 
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_blocks_leave_no_seams(tmp_path: Path, shuffled: bool) -> None:
+    """Frames of 0 to 3,000 boxes that go on from block to block: the same as sorted by NumPy."""
+    rng = np.random.default_rng(0)
+    number = np.sort(rng.integers(1, 60, 2 * BLOCK + 10))
+    number = np.concatenate([number, np.full(3000, 61)])
+    if shuffled:
+        number = rng.permutation(number)
+    left = np.arange(len(number))
+    path = file_of(
+        tmp_path, "".join(f"{t},-1,{x},0,8,8,1\n" for t, x in zip(number, left, strict=True))
+    )
+    file = open_detections(path)
+    assert bool(file.out_of_order) == shuffled
+    assert (file.n_frames, file.n_rows, file.right) == (61, len(number), len(number) + 7)
+    frames = list(file)
+    assert len(frames) == 61
+    assert max(len(found) for found, _ in frames) > MERGE_BLOCK
+    for t, (found, rows) in enumerate(frames, 1):
+        np.testing.assert_array_equal(rows, np.flatnonzero(number == t))
+        np.testing.assert_array_equal(found.boxes[:, 0], rows + 4)
+
+
+def test_rows_of_later_blocks_are_counted_from_the_start(tmp_path: Path) -> None:
+    good = "1,-1,0,0,8,8,1\n" * (BLOCK + 4)
+    for row, problem in (
+        ("1,-1,0,0,8,nan,1", f"frame 1, row {BLOCK + 5}: boxes and scores should be finite"),
+        ("1,-1,0,0,8", f"row {BLOCK + 5} should be the numbers frame,-1,left"),
+    ):
+        with pytest.raises(DroptrackError, match=problem):
+            open_detections(file_of(tmp_path, f"{good}{row}\n"))
+
+
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    """Five times the frames, in order and not: all rows of the longer file would be 11 MB."""
+    peaks = []
+    for n_frames, step in ((4_000, 1), (20_000, 1), (20_000, -1)):
+        frames = range(1, n_frames + 1)[::step]
+        text = "".join(f"{t},-1,{x},0,8,8,1\n" for t in frames for x in range(0, 100, 10))
+        path = file_of(tmp_path, text)
+        del text
+        tracemalloc.start()
+        n = sum(len(found) for found, _ in open_detections(path))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert n == 10 * n_frames
+    assert max(peaks) < 1.4 * min(peaks)
+
+
 def test_an_empty_file_has_no_frames(tmp_path: Path) -> None:
-    assert read_detections(file_of(tmp_path, "\n")) == ([], [])
+    assert list(open_detections(file_of(tmp_path, "\n"))) == []
 
 
 @pytest.mark.parametrize(
@@ -67,8 +121,8 @@ def test_an_empty_file_has_no_frames(tmp_path: Path) -> None:
         ("0,-1,0,0,8,8,1", "frame 0, row 2: a frame should be a whole number from 1"),
         ("1.5,-1,0,0,8,8,1", "frame 1.5, row 2: a frame should be a whole number"),
         ("99999999,-1,0,0,8,8,1", "row 2: a frame should be 10000000 or less"),
-        ("1,-1,0,0,8,eight,1", "eight"),
-        ("1,-1,0,0,8,8", "columns"),
+        ("1,-1,0,0,8,eight,1", "row 2 should be the numbers frame,-1,.*, not 1,-1,0,0,8,eight,1"),
+        ("1,-1,0,0,8,8", "row 2 should be the numbers frame,-1,.*, not 1,-1,0,0,8,8"),
     ],
 )
 def test_what_cannot_be_a_box_is_refused_with_its_place(
@@ -76,14 +130,20 @@ def test_what_cannot_be_a_box_is_refused_with_its_place(
 ) -> None:
     path = file_of(tmp_path, f"1,-1,0,0,8,8,1\n{row}\n")
     with pytest.raises(DroptrackError, match=r"detections\.txt: .*" + problem):
-        read_detections(path)
+        open_detections(path)
 
 
 def test_too_few_columns_and_missing_files_are_named(tmp_path: Path) -> None:
-    with pytest.raises(DroptrackError, match="rows should be frame,-1,left"):
-        read_detections(file_of(tmp_path, "1,-1,0,0,8\n"))
+    with pytest.raises(DroptrackError, match="row 1 should be the numbers frame,-1,left"):
+        open_detections(file_of(tmp_path, "1,-1,0,0,8\n"))
     with pytest.raises(DroptrackError, match="no such file"):
-        read_detections(tmp_path / "none.txt")
+        open_detections(tmp_path / "none.txt")
+    with pytest.raises(DroptrackError, match="can be read twice"):
+        open_detections(tmp_path)
+    path = tmp_path / "latin.txt"
+    path.write_bytes(b"1,-1,0,0,8,8,1\n\xe9\n")
+    with pytest.raises(DroptrackError, match="cannot be read as text"):
+        open_detections(path)
 
 
 def moving(n_frames: int) -> list[list[list[float]]]:
@@ -140,8 +200,31 @@ def test_a_file_without_detections_gives_an_empty_table(tmp_path: Path) -> None:
     assert len(read_trajectories(out / "trajectories.csv")[0]) == 0
 
 
+def test_an_unsorted_file_is_tracked_like_the_sorted_one_and_says_so(tmp_path: Path) -> None:
+    path, looks = tmp_path / "d.txt", tmp_path / "d.npy"
+    write_detections(path, [labels(boxes) for boxes in moving(20)])
+    lines = path.read_text().splitlines(keepends=True)
+    order = np.random.default_rng(0).permutation(len(lines))
+    early = 2 + int(np.flatnonzero(np.diff(order // 2) < 0)[0])  # row, from 1; two rows a frame
+    shuffled = file_of(tmp_path, "".join(lines[i] for i in order))
+    descriptors = np.tile(np.eye(2), (20, 1))
+    rows = {}
+    for file in (path, shuffled):
+        np.save(looks, descriptors if file is path else descriptors[order])
+        options = ["--detections", str(file), "--descriptors", str(looks)]
+        output = track(*options, "--out", str(tmp_path / "out"))
+        assert (f"row {early} belongs before the one above it" in output) == (file is shuffled)
+        rows[file] = read_trajectories(tmp_path / "out" / "trajectories.csv")[0]
+    # who is 1 and who is 2 is a matter of the rows' order
+    for name in ("frame", "x", "y", "scores"):
+        ours, theirs = (
+            np.column_stack([t.frame, getattr(t, name)])[np.lexsort((t.y, t.frame))]
+            for t in rows.values()
+        )
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_descriptors_that_do_not_fit_are_refused(tmp_path: Path) -> None:
-    rows = [np.array([0, 1]), np.array([2])]
     path = tmp_path / "d.npy"
     for table, problem in (
         (np.ones((2, 4)), r"should be 3 rows of numbers, not \(2, 4\)"),
@@ -151,13 +234,14 @@ def test_descriptors_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     ):
         np.save(path, table)
         with pytest.raises(DroptrackError, match=problem):
-            read_descriptors(path, rows)
+            open_descriptors(path, 3)
     path.write_text("no array")
     with pytest.raises(DroptrackError, match=r"cannot be read as \.npy"):
-        read_descriptors(path, rows)
+        open_descriptors(path, 3)
     np.save(path, np.array([[3.0, 4], [0, 2], [1, 0]]))
-    looks = read_descriptors(path, rows)
-    assert [look.tolist() for look in looks] == [[[0.6, 0.8], [0, 1]], [[1, 0]]]
+    looks = open_descriptors(path, 3)
+    assert looks(np.array([0, 1])).tolist() == [[0.6, 0.8], [0, 1]]
+    assert looks(np.array([2])).tolist() == [[1, 0]]
 
 
 def test_options_that_exclude_each_other_are_refused(tmp_path: Path) -> None:

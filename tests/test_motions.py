@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from data_gen.motions import HEIGHT, MOTIONS, WIDTH, Kind, Motion, make
 from data_gen.simulate import app
-from droptrack.mot_files import read_detections
+from droptrack.mot_files import open_detections
 from droptrack.trajectories import read_trajectories
 
 
@@ -82,7 +82,7 @@ def test_the_command_writes_detections_and_truth(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["motions", *options])
     assert result.exit_code == 0, result.output
     truth, about = read_trajectories(tmp_path / "truth.csv")
-    frames, _ = read_detections(tmp_path / "detections.txt")
+    frames = [found for found, _ in open_detections(tmp_path / "detections.txt")]
     assert [len(found) for found in frames] == np.bincount(truth.frame).tolist()
     assert "1200 x 600 px" in about["video"]
 

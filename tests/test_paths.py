@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from droptrack.paths import Paths
+from droptrack.paths import MOST_POINTS, Paths
 from droptrack.trajectories import Trajectories, sorted_trajectories
 
 
@@ -40,3 +40,16 @@ def test_lines_are_thinned_but_reach_the_end() -> None:
     paths.add(rows([(t, 1, 0.5 * t, 0.0, True) for t in range(101)]))
     (line,) = paths.lines().values()
     assert line[:, 0].tolist() == [*np.arange(0, 50.1, 2.5).tolist(), 50.0]
+
+
+def test_long_lines_are_thinned_more_and_keep_their_shape() -> None:
+    """A hundred thousand steps of 5 px along a parabola."""
+    paths = Paths()
+    t = np.arange(100_000)
+    x, y = 5.0 * t, 1e-4 * (5.0 * t) ** 2
+    for part in np.array_split(t, 10):
+        paths.add(rows([(k, 1, x[k], y[k], True) for k in part.tolist()]))
+    (line,) = paths.lines().values()
+    assert MOST_POINTS / 4 < len(line) <= MOST_POINTS + 1
+    assert (line[0].tolist(), line[-1].tolist()) == ([0, 0], [x[-1], np.float32(y[-1])])
+    np.testing.assert_allclose(line[:, 1], 1e-4 * line[:, 0].astype(float) ** 2, rtol=1e-5)

@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 
 from droptrack import flow, motion
 from droptrack.association import assign_sparse, take_in_turn
+from droptrack.droplet_noise import FEWEST_FALSE, Noise, median
 from droptrack.droplet_tracks import new_tracks
-from droptrack.motion import Motion
+from droptrack.motion import Motion, squares
 from droptrack.tracks import Update
 
 Floats = NDArray[np.float64]
@@ -22,7 +23,6 @@ Rows = NDArray[np.int64]
 
 CANDIDATES = 8  # detections that a track is weighed against
 MISS_COST = 15.0  # -2 log likelihood of a miss and FEWEST_FALSE false ones a squared diameter
-FEWEST_FALSE = 1e-3
 ENOUGH_EVIDENCE = 25.0  # 2 log likelihood ratio that makes a droplet
 JUMP = 0.3  # diameters, standard deviation where a box is wrong,
 JUMP_FROM = 12.0  # squared standard deviations
@@ -32,10 +32,6 @@ ANY_SIZE = 0.4  # the same of boxes that are not the droplet's
 SIZE_GAIN = 0.2  # of a new size in a track's mean size,
 AREA_GAIN = 0.02  # and in its mean area over a long time
 LEAST_SPREAD = 0.08  # diameters; no prediction is surer
-NOISE_RANGE = (0.01, 0.25)  # diameters
-SIZE_NOISE_RANGE = (0.05, 0.5)
-ACCELERATION_RANGE = (0.01, 0.2)  # diameters a frame²
-LEARNING = 0.05  # share of a frame in what is learned about the noise
 JOIN_GATE = 11.8  # chi-square of two degrees of freedom, 99.7 %
 HALF_COVERED = 0.4  # share of a box, from which it may be a second one of the droplet it lies on
 TWO_HALVES = 1.5  # areas of two boxes of one droplet, in areas of its box before
@@ -69,12 +65,9 @@ class DropletTracker:
 
     def __init__(self, parameters: DropletParameters) -> None:
         self.parameters = parameters
-        self.noise, self.acceleration = parameters.noise, parameters.acceleration
-        self.size_noise = parameters.size_noise
-        self.false_density = FEWEST_FALSE  # unexpected boxes a squared diameter
+        self.noise = Noise(parameters.noise, parameters.acceleration, parameters.size_noise)
         self.tracks = new_tracks(np.zeros((0, 4)), np.zeros((0, 0)), 1)
         self._next_id = 1
-        self._lessons = self._lessons_of_false = 0
 
     @property
     def max_age(self) -> int:
@@ -98,14 +91,16 @@ class DropletTracker:
         looks = descriptors if self.parameters.appearance else np.zeros((len(boxes), 0))
         if not len(self.tracks.ids):
             self.tracks = new_tracks(boxes[:0], looks[:0], self._next_id)
-        self._predict(boxes)
-        rows, columns, evidence = self._match(boxes, looks)
+        diameters = self.tracks.diameters
+        self._predict(boxes, diameters)
+        rows, columns, evidence = self._match(boxes, looks, diameters)
         self.tracks.evidence[rows] += evidence
-        seconds = self._second_boxes(boxes, rows, columns)
-        self._correct(rows, boxes[columns], looks[columns])
         track_ids = np.zeros(len(boxes), np.int64)
         track_ids[columns] = self.tracks.ids[rows]
-        track_ids[track_ids == 0] = self._start(boxes, looks, columns, seconds)
+        free = np.flatnonzero(track_ids == 0)
+        seconds = self._second_boxes(boxes, rows, columns, free)
+        self._correct(rows, boxes[columns], looks[columns], diameters)
+        track_ids[free] = self._start(boxes[free], looks[free], seconds)
         joined = self._join()
         confirmed = self._confirm()
         for young, old in joined:
@@ -113,10 +108,9 @@ class DropletTracker:
         ended = self._drop_lost()
         return Update(track_ids, confirmed, ended, joined)
 
-    def _predict(self, boxes: Floats) -> None:
+    def _predict(self, boxes: Floats, diameters: Floats) -> None:
         """All tracks one frame on, those of unknown velocity with the flow."""
         tracks, p = self.tracks, self.parameters
-        diameters = tracks.diameters
         velocity, covariance = tracks.state.velocity.copy(), tracks.state.covariance.copy()
         known = (tracks.hits >= 3) & (tracks.missed == 0)
         unknown = np.flatnonzero(tracks.hits == 1)
@@ -155,62 +149,78 @@ class DropletTracker:
             covariance[rows, 2] *= 1 - gain
             covariance[rows, 1] *= 1 - gain
         state = Motion(tracks.state.position, velocity, covariance)
-        tracks.state = motion.predict(state, self.acceleration * diameters)
+        tracks.state = motion.predict(state, self.noise.acceleration * diameters)
         tracks.missed = tracks.missed + 1
         tracks.frames = tracks.frames + 1
 
-    def _match(self, boxes: Floats, descriptors: Floats) -> tuple[Rows, Rows, Floats]:
+    def _match(
+        self, boxes: Floats, descriptors: Floats, diameters: Floats
+    ) -> tuple[Rows, Rows, Floats]:
         """Rows of tracks and detections that belong together, and the evidence that they do."""
         tracks, p = self.tracks, self.parameters
         none = np.zeros(0, np.int64)
         if not len(tracks.ids) or not len(boxes):
             return none, none, np.zeros(0)
-        diameters = tracks.diameters
-        k = min(CANDIDATES, len(boxes))
-        distance, near = flow.nearest(cKDTree(boxes[:, :2]), tracks.state.position, k)
-        recent = tracks.missed <= (p.short_gap + 1 if p.both_ways else p.max_age)
-        rows, place = np.nonzero((distance <= p.max_step * diameters[:, None]) & recent[:, None])
-        columns = near[rows, place]
-        scale = diameters[rows]
-        spread = self._spread()[rows] / scale**2
-        square = (distance[rows, place] / scale) ** 2
-        cost = square / spread + 2 * np.log(2 * np.pi * spread)
+        spread = self._spread(diameters) / diameters**2
         wide = spread + JUMP**2
-        wrong = square / wide + 2 * np.log(2 * np.pi * wide) + JUMP_COST
+        rarity, rarity_wrong = 2 * np.log(2 * np.pi * spread), 2 * np.log(2 * np.pi * wide)
+        narrow, broad = self.noise.size**2, self.noise.size**2 + WRONG_SIZE**2
+        same_size, wrong_size = (
+            (2 * np.log(narrow / ANY_SIZE**2), 2 * np.log(broad / ANY_SIZE**2))
+            if p.size
+            else (0, 0)
+        )
+        most = MISS_COST - 2 * float(np.log(self.noise.false_density / FEWEST_FALSE))
+        # what is further away costs more than `most`, whatever its size and its looks
+        square = np.maximum(
+            spread * (most - rarity - same_size),
+            wide * (most - rarity_wrong - JUMP_COST - wrong_size),
+        )
+        reach = np.minimum(p.max_step, np.sqrt(np.maximum(square, 0)) * (1 + 1e-9)) * diameters
+        k = min(CANDIDATES, len(boxes))
+        tree = cKDTree(boxes[:, :2])
+        distance, near = flow.nearest(
+            tree, tracks.state.position, k, float(reach.max()) * (1 + 1e-9)
+        )
+        recent = tracks.missed <= (p.short_gap + 1 if p.both_ways else p.max_age)
+        rows, place = np.nonzero((distance <= reach[:, None]) & recent[:, None])
+        columns = near[rows, place]
+        square = (distance[rows, place] / diameters[rows]) ** 2
+        cost = square / spread[rows] + rarity[rows]
+        wrong = square / wide[rows] + rarity_wrong[rows] + JUMP_COST
         if p.size:
-            change = ((np.log(boxes[columns, 2:]) - tracks.log_sizes[rows]) ** 2).sum(axis=1)
-            narrow, broad = self.size_noise**2, self.size_noise**2 + WRONG_SIZE**2
-            cost += change / narrow + 2 * np.log(narrow / ANY_SIZE**2)
-            wrong += change / broad + 2 * np.log(broad / ANY_SIZE**2)
+            change = squares(np.log(boxes[:, 2:])[columns] - tracks.log_sizes[rows])
+            cost += change / narrow + same_size
+            wrong += change / broad + wrong_size
         cost = np.minimum(cost, wrong) + np.minimum(tracks.missed[rows] - 1, 10) * 0.5
         if p.appearance:
             likeness = (tracks.looks[rows] * descriptors[columns]).sum(axis=1)
             cost += p.appearance * (1 - likeness)
-        most = MISS_COST - 2 * float(np.log(self.false_density / FEWEST_FALSE))
         good = cost < most
         choose = assign_sparse if p.jointly else take_in_turn
-        chosen, taken = choose(rows[good], columns[good], cost[good], most)
+        rows, columns, cost = rows[good], columns[good], cost[good]
+        chosen, taken = choose(rows, columns, cost, most)
         pairs, wanted = rows * len(boxes) + columns, chosen * len(boxes) + taken
         order = np.argsort(pairs)
         at = order[np.searchsorted(pairs, wanted, sorter=order)]
         return chosen, taken, most - cost[at]
 
-    def _spread(self) -> Floats:
+    def _spread(self, diameters: Floats) -> Floats:
         """Variance (N,) px² of a detection about its prediction."""
-        d = self.tracks.diameters
-        spread = self.tracks.state.covariance[:, 0] + (self.noise * d) ** 2
-        return np.asarray(np.maximum(spread, (LEAST_SPREAD * d) ** 2))
+        spread = self.tracks.state.covariance[:, 0] + (self.noise.centre * diameters) ** 2
+        return np.asarray(np.maximum(spread, (LEAST_SPREAD * diameters) ** 2))
 
-    def _correct(self, rows: Rows, boxes: Floats, descriptors: Floats) -> None:
-        """Take in the detections of some tracks."""
-        tracks = self.tracks
-        diameters = tracks.diameters[rows]
-        innovation = (boxes[:, :2] - tracks.state.position[rows]) / diameters[:, None]
+    def _correct(self, rows: Rows, boxes: Floats, descriptors: Floats, diameters: Floats) -> None:
+        """Take in the detections of some tracks; `diameters` (N,) are those of all."""
+        tracks, mine = self.tracks, diameters[rows]
+        innovation = (boxes[:, :2] - tracks.state.position[rows]) / mine[:, None]
+        change = np.log(boxes[:, 2:]) - tracks.log_sizes[rows]
         if self.parameters.learn_noise:
-            self._learn(rows, innovation, np.log(boxes[:, 2:]) - tracks.log_sizes[rows])
-        jumped = (innovation**2).sum(axis=1) > JUMP_FROM * self._spread()[rows] / diameters**2
+            self._learn(rows, innovation, change, mine)
+        spread = self._spread(diameters)[rows] / mine**2  # with what has just been learned
+        jumped = squares(innovation) > JUMP_FROM * spread
         sure, unsure = rows[~jumped], rows[jumped]
-        noise = self.noise * diameters[~jumped]
+        noise = self.noise.centre * mine[~jumped]
         for part, corrected in (
             (sure, motion.update(tracks.state[sure], boxes[~jumped, :2], noise)),
             (unsure, motion.jump(tracks.state[unsure], boxes[jumped, :2])),
@@ -221,75 +231,55 @@ class DropletTracker:
         tracks.hits[rows] += 1
         tracks.missed[rows] = 0
         tracks.seen[rows] = boxes[:, :2]
-        gain = np.maximum(SIZE_GAIN, 1 / tracks.hits[rows])[:, None]
-        tracks.log_sizes[rows] += gain * (np.log(boxes[:, 2:]) - tracks.log_sizes[rows])
+        share = 1 / tracks.hits[rows]
+        gain = np.maximum(SIZE_GAIN, share)[:, None]
+        tracks.log_sizes[rows] += gain * change
         area = np.log(boxes[:, 2] * boxes[:, 3])
-        slow = np.maximum(AREA_GAIN, 1 / tracks.hits[rows])
+        slow = np.maximum(AREA_GAIN, share)
         tracks.log_area[rows] += slow * (area - tracks.log_area[rows])
         if self.parameters.appearance:
             looks = (1 - gain) * tracks.looks[rows] + gain * descriptors
             tracks.looks[rows] = looks / np.linalg.norm(looks, axis=1, keepdims=True)
 
-    def _learn(self, rows: Rows, innovation: Floats, change: Floats) -> None:
-        """Fit the noise of detections and of motion to what was seen.
-
-        Innovations (N, 2) should be as large as the filter expects, and of a good filter they are
-        white (Mehra 1970): those that agree with the ones before tell of motion, those that
-        alternate of noise in the detections.
-        """
+    def _learn(self, rows: Rows, innovation: Floats, change: Floats, diameters: Floats) -> None:
+        """Learn the noise from the tracks that have been seen for some frames without a gap."""
         tracks = self.tracks
         steady = (tracks.hits[rows] >= 4) & (tracks.missed[rows] == 1)
         if steady.sum() < 3:
             return
-        chosen, now = rows[steady], innovation[steady]
-        d = tracks.diameters[chosen]
-        expected = tracks.state.covariance[chosen, 0] / d**2 + self.noise**2
-        size = np.median((now**2).sum(axis=1) / expected) / (2 * np.log(2))
-        before = tracks.innovation[chosen]
-        power = np.minimum((now**2).sum(axis=1), 1).mean()
-        memory = np.clip((now * before).sum(axis=1), -1, 1).mean() / max(power, 1e-12)
-        self._lessons += 1
-        weight = max(LEARNING, 1 / (1 + self._lessons)) * min(1.0, len(chosen) / 10)
-        grow = weight * np.clip(np.log(max(size, 1e-6)), -2, 2) / 2
-        turn = weight * np.clip(memory, -1, 1) / 2
-        self.noise *= float(np.exp(grow - turn))
-        self.acceleration *= float(np.exp(grow + turn))
-        change_size = np.median((change[steady] ** 2).sum(axis=1)) / (2 * np.log(2))
-        ratio = np.log(max(change_size, 1e-6) / self.size_noise**2) / 2
-        self.size_noise *= float(np.exp(weight * np.clip(ratio, -1, 1)))
-        self.size_noise = float(np.clip(self.size_noise, *SIZE_NOISE_RANGE))
-        self.noise = float(np.clip(self.noise, *NOISE_RANGE))
-        self.acceleration = float(np.clip(self.acceleration, *ACCELERATION_RANGE))
+        chosen = rows[steady]
+        variance = tracks.state.covariance[chosen, 0] / diameters[steady] ** 2
+        self.noise.learn(innovation[steady], tracks.innovation[chosen], variance, change[steady])
 
-    def _start(self, boxes: Floats, descriptors: Floats, taken: Rows, seconds: Rows) -> Rows:
-        """Start a track for each detection without one; returns their identities.
+    def _start(self, boxes: Floats, descriptors: Floats, seconds: Rows) -> Rows:
+        """Start a track for each of the F detections that have none; returns their identities.
 
-        `seconds` (M,): the tracks on whose droplets the boxes lie.
+        `seconds` (F,): the tracks on whose droplets the boxes lie.
         """
-        p = self.parameters
-        free = np.delete(np.arange(len(boxes)), taken)
-        born = new_tracks(boxes[free], descriptors[free], self._next_id)
+        if not len(boxes):
+            return seconds
+        born = new_tracks(boxes, descriptors, self._next_id)
         d = born.diameters
-        born.state.covariance[:, 0] = (self.noise * d) ** 2
-        born.state.covariance[:, 2] = (p.unknown_step * d) ** 2
-        born.second_of[:] = seconds[free]
-        self._next_id += len(free)
-        if len(free):
-            self.tracks = self.tracks.and_these(born)
+        born.state.covariance[:, 0] = (self.noise.centre * d) ** 2
+        born.state.covariance[:, 2] = (self.parameters.unknown_step * d) ** 2
+        born.second_of[:] = seconds
+        self._next_id += len(boxes)
+        self.tracks = self.tracks.and_these(born)
         return born.ids
 
-    def _second_boxes(self, boxes: Floats, rows: Rows, columns: Rows) -> Rows:
-        """The droplet (M,) on which each box lies that was given to no track, 0 where none.
+    def _second_boxes(self, boxes: Floats, rows: Rows, columns: Rows, free: Rows) -> Rows:
+        """The droplet (F,) on which each box lies that was given to no track, 0 where none.
 
         Either it covers the place where a droplet was expected, or it lies beside the box that a
         droplet was given and both are together no larger than it was: half a droplet.
         """
         tracks = self.tracks
-        found = np.zeros(len(boxes), np.int64)
-        free = np.delete(np.arange(len(boxes)), columns)
+        none = np.zeros(len(free), np.int64)
+        if not len(free) or not self.parameters.second_boxes:
+            return none
         sure = np.flatnonzero(tracks.confirmed & (tracks.missed <= self.parameters.short_gap + 1))
-        if not len(sure) or not len(free) or not self.parameters.second_boxes:
-            return found
+        if not len(sure):
+            return none
         k = min(4, len(sure))
         _, near = flow.nearest(cKDTree(tracks.state.position[sure]), boxes[free, :2], k)
         near = sure[near]  # (F, k)
@@ -307,8 +297,7 @@ class DropletTracker:
         half = beside & (other[..., 2:].prod(axis=2) + area < TWO_HALVES * area_before)
         lies = covers | half
         owner = tracks.ids[near[np.arange(len(free)), lies.argmax(axis=1)]]
-        found[free] = np.where(lies.any(axis=1), owner, 0)
-        return found
+        return np.where(lies.any(axis=1), owner, 0)
 
     def _ripe(self) -> NDArray[np.bool_]:
         """New tracks (N,) that have been seen often enough, in this frame too."""
@@ -323,6 +312,8 @@ class DropletTracker:
             return ()
         tracks = self.tracks
         lost = np.flatnonzero(tracks.confirmed & (tracks.missed > 0))
+        if not len(lost):
+            return ()
         second = np.flatnonzero(~tracks.confirmed & (tracks.missed == 0) & (tracks.second_of > 0))
         pairs: list[tuple[int, int]] = []
         for new in second:  # the other box of a droplet that had two is the one that is left
@@ -363,13 +354,15 @@ class DropletTracker:
         off = tracks.first[new] - tracks.seen[old] - gap[:, None] * velocity
         d = tracks.diameters[old]
         ends = (tracks.state.covariance[new, 2] + tracks.state.covariance[old, 2]) / d**2
-        spread = self.acceleration**2 * gap**3 / 12 + ends * gap**2 / 4 + 2 * self.noise**2
+        spread = (
+            self.noise.acceleration**2 * gap**3 / 12 + ends * gap**2 / 4 + 2 * self.noise.centre**2
+        )
         spread = np.maximum(spread, LEAST_SPREAD**2)
         square = (off**2).sum(axis=1) / d**2 / spread
         cost = square + 2 * np.log(2 * np.pi * spread)
         if p.size:
-            change = (tracks.log_sizes[new] - tracks.log_sizes[old]) / self.size_noise
-            cost += (change**2).sum(axis=1) + 4 * np.log(self.size_noise / ANY_SIZE)
+            change = (tracks.log_sizes[new] - tracks.log_sizes[old]) / self.noise.size
+            cost += (change**2).sum(axis=1) + 4 * np.log(self.noise.size / ANY_SIZE)
         good = (square < JOIN_GATE) & (cost < MISS_COST)
         rows, columns = assign_sparse(new[good], old[good], cost[good], MISS_COST)
         return list(zip(rows.tolist(), columns.tolist(), strict=True))
@@ -377,8 +370,11 @@ class DropletTracker:
     def _confirm(self) -> tuple[int, ...]:
         """New tracks that are droplets from now on."""
         tracks = self.tracks
-        alone = ~np.isin(tracks.second_of, tracks.ids) | (tracks.frames >= SECOND_BOX_FRAMES)
-        rows = np.flatnonzero(self._ripe() & alone)
+        rows = np.flatnonzero(self._ripe())
+        if not len(rows):
+            return ()
+        alone = ~np.isin(tracks.second_of[rows], tracks.ids)
+        rows = rows[alone | (tracks.frames[rows] >= SECOND_BOX_FRAMES)]
         tracks.confirmed[rows] = True
         return tuple(tracks.ids[rows].tolist())
 
@@ -389,10 +385,10 @@ class DropletTracker:
         lost |= ~tracks.confirmed & (tracks.frames > SECOND_BOX_FRAMES + 1)
         if self.parameters.learn_noise and tracks.confirmed.any():
             seen = tracks.seen[tracks.confirmed]
-            area = np.ptp(seen, axis=0).prod() / np.median(tracks.diameters) ** 2
+            area = np.ptp(seen, axis=0).prod() / median(tracks.diameters) ** 2
             density = np.count_nonzero(lost & ~tracks.confirmed) / max(float(area), 1.0)
-            self._lessons_of_false += 1
-            weight = max(LEARNING, 1 / (1 + self._lessons_of_false))
-            self.false_density += weight * (max(density, FEWEST_FALSE) - self.false_density)
+            self.noise.learn_false(density)
+        if not lost.any():
+            return ()
         self.tracks = tracks[~lost]
         return tuple(tracks.ids[lost].tolist())

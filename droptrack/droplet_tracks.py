@@ -33,7 +33,8 @@ class Tracks:
     @property
     def diameters(self) -> Floats:
         """Geometric mean of width and height, px."""
-        return np.asarray(np.exp(self.log_sizes.mean(axis=1)))
+        width, height = self.log_sizes.T
+        return np.asarray(np.exp((width + height) / 2))
 
     def __getitem__(self, rows: Rows | NDArray[np.bool_]) -> "Tracks":
         return Tracks(**{name: array[rows] for name, array in vars(self).items()})

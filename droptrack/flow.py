@@ -21,9 +21,12 @@ MATCH_OF_STEP = 0.06  # and of the displacement's length
 CHUNK = 2000  # droplets whose candidates are judged at once
 
 
-def nearest(tree: cKDTree, points: Floats, k: int) -> tuple[Floats, Rows]:
-    """Distances (N, k) and rows (N, k) of the k points of a tree that are nearest to points."""
-    distance, rows = tree.query(points, range(1, k + 1))
+def nearest(tree: cKDTree, points: Floats, k: int, reach: float = np.inf) -> tuple[Floats, Rows]:
+    """Distances (N, k) and rows (N, k) of the k points of a tree that are nearest to points.
+
+    What is not nearer than `reach` has an infinite distance and no row, but takes no time.
+    """
+    distance, rows = tree.query(points, range(1, k + 1), distance_upper_bound=reach)
     return np.asarray(distance), np.asarray(rows, np.int64)
 
 

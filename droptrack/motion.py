@@ -26,6 +26,12 @@ class Motion:
         return Motion(self.position[rows], self.velocity[rows], self.covariance[rows])
 
 
+def squares(vectors: Floats) -> Floats:
+    """Squared lengths (N,) of vectors (N, 2)."""
+    x, y = vectors.T  # a sum along so short an axis takes longer than all else
+    return np.asarray(x * x + y * y)
+
+
 def predict(state: Motion, acceleration: Floats) -> Motion:
     """One frame on; `acceleration` (N,): its standard deviation, px a frame²."""
     p, c, v = state.covariance.T

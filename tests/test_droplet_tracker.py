@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from droptrack.association import assign, assign_sparse, take_in_turn
 from droptrack.detections import Detections
+from droptrack.droplet_noise import median
 from droptrack.droplet_tracker import DropletParameters, DropletTracker
 from droptrack.evaluate import evaluate
 from droptrack.recorder import Recorder
@@ -148,8 +149,14 @@ def test_noise_is_learned_from_what_is_seen() -> None:
     for t in range(80):
         seen = places + np.array([2.0 * t, 0]) + rng.normal(0, 1.6, places.shape)
         tracker.update(np.hstack([seen, np.full_like(seen, 20.0)]), np.zeros((len(seen), 0)))
-    assert tracker.noise == pytest.approx(0.08, rel=0.15)
-    assert tracker.acceleration < 0.05
+    assert tracker.noise.centre == pytest.approx(0.08, rel=0.15)
+    assert tracker.noise.acceleration < 0.05
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 8])
+def test_the_median_is_numpys(n: int) -> None:
+    values = np.random.default_rng(n).normal(0, 1, n)
+    assert median(values) == np.median(values)
 
 
 def test_nothing_at_all_and_nothing_for_a_while() -> None:

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from droptrack.flow import displacement_of_pattern, velocity_of_neighbours
+from droptrack.flow import displacement_of_pattern, nearest, velocity_of_neighbours
 
 
 def lattice(rng: np.random.Generator, disorder: float) -> np.ndarray:
@@ -62,3 +63,11 @@ def test_no_pattern_has_no_share() -> None:
     none, one = np.zeros((0, 2)), np.ones((1, 2))
     step, share = displacement_of_pattern(one, np.ones(1), np.array([0]), none, 2.5)
     assert (step.tolist(), share.tolist()) == ([[0, 0]], [0])
+
+
+def test_what_is_out_of_reach_has_an_infinite_distance() -> None:
+    """Points at 0, 1, 3 and 7; within 2.5 of 1 there are three."""
+    tree = cKDTree(np.array([[0.0, 0], [1, 0], [3, 0], [7, 0]]))
+    distance, rows = nearest(tree, np.array([[1.0, 0]]), 4, 2.5)
+    assert distance.tolist() == [[0, 1, 2, np.inf]]
+    assert rows[0, :3].tolist() == [1, 0, 2]

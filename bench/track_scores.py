@@ -12,6 +12,7 @@ from trackeval.metrics import CLEAR, HOTA, Identity
 from droptrack.appearance import describe_sizes
 from droptrack.detections import Detections
 from droptrack.recorder import Recorder
+from droptrack.track_metrics import match
 from droptrack.tracks import Tracker
 from droptrack.trajectories import Trajectories
 
@@ -28,7 +29,7 @@ class Score:
     hota: float
     switches: int
     switches_per_1000: float
-    position_rms: float
+    position_rms: float  # of matched positions
     milliseconds: float  # a frame, the tracker alone, median
 
 
@@ -51,6 +52,11 @@ def score(truth: Trajectories, result: Trajectories, milliseconds: float = np.na
     TrackEval takes similarities and matches from 0.5 on: 1 - distance / diameter.
     """
     data = _trackeval_data(truth, result)
+    # of the pairs that CLEAR MOT matches: the nearest of several would flatter who gives several
+    pairs = match(truth, result)
+    dx = result.x[pairs.result] - truth.x[pairs.truth]
+    dy = result.y[pairs.result] - truth.y[pairs.truth]
+    squares = (dx**2 + dy**2) / truth.boxes[pairs.truth, 2:].prod(axis=1)
     clear = CLEAR(QUIET).eval_sequence(data)
     return Score(
         mota=float(clear["MOTA"]),
@@ -58,7 +64,7 @@ def score(truth: Trajectories, result: Trajectories, milliseconds: float = np.na
         hota=float(np.mean(HOTA().eval_sequence(data)["HOTA"])),
         switches=int(clear["IDSW"]),
         switches_per_1000=1000 * float(clear["IDSW"]) / len(truth),
-        position_rms=data["position_rms"],
+        position_rms=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
         milliseconds=milliseconds,
     )
 
@@ -71,15 +77,12 @@ def _trackeval_data(truth: Trajectories, result: Trajectories) -> dict[str, Any]
         [slice(*np.searchsorted(table.frame, [t, t + 1])) for t in range(n_frames)]
         for table in (truth, result)
     ]
-    similarities, squares = [], []
+    similarities = []
     for t, r in zip(*rows, strict=True):
         apart = np.hypot(
             truth.x[t][:, None] - result.x[r][None], truth.y[t][:, None] - result.y[r][None]
         ) / np.sqrt(truth.boxes[t, 2] * truth.boxes[t, 3]).reshape(-1, 1)
         similarities.append(np.maximum(1 - apart, 0))
-        near = apart.min(axis=1, initial=np.inf)
-        squares.append(near[near <= 0.5] ** 2)
-    mean = np.concatenate(squares).mean() if any(map(len, squares)) else np.nan
     return {
         "num_timesteps": n_frames,
         "num_gt_dets": len(truth),
@@ -89,5 +92,4 @@ def _trackeval_data(truth: Trajectories, result: Trajectories) -> dict[str, Any]
         "gt_ids": [true_ids[t] for t in rows[0]],
         "tracker_ids": [ids[r] for r in rows[1]],
         "similarity_scores": similarities,
-        "position_rms": float(np.sqrt(mean)),
     }

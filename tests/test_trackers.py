@@ -78,6 +78,7 @@ def test_never_worse_than_deepsort(name: str) -> None:
     ours, theirs = judge(droplet(), motion), judge(DeepSort(Parameters()), motion)
     assert ours.mota >= theirs.mota - ROUNDING
     assert ours.idf1 >= theirs.idf1 - ROUNDING
+    assert ours.hota >= theirs.hota - ROUNDING
     assert ours.switches <= theirs.switches
 
 

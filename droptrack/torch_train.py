@@ -125,7 +125,7 @@ def _train(job: Job, rank: int) -> Generator[Step, None, None]:
     def save(iteration: int, name: str) -> None:
         _save_weights(network, out / f"{cfg.path.stem}_{name}.weights", iteration * settings.batch)
 
-    iteration = first
+    done = first  # iterations that the log has: one that is broken off is done again
     began = time.perf_counter()
     with TrainingLog(out, first) if rank == 0 else nullcontext() as log:
         try:
@@ -142,9 +142,6 @@ def _train(job: Job, rank: int) -> Generator[Step, None, None]:
                     mean_ap = validation_map(network, data.valid[: settings.map_images])
                     if mean_ap > max(log.mean_aps, default=0.0):
                         save(iteration, "best")
-                if iteration % settings.save_every == 0:
-                    save(iteration, "last")
-                    _save_checkpoint(checkpoint, network, optimizer, iteration)
                 now = time.perf_counter()
                 step = Step(
                     iteration,
@@ -161,6 +158,10 @@ def _train(job: Job, rank: int) -> Generator[Step, None, None]:
                 )
                 began = now
                 log.append(step)
+                done = iteration
+                if done % settings.save_every == 0:
+                    save(done, "last")
+                    _save_checkpoint(checkpoint, network, optimizer, done)
                 yield step
                 if finite < 1:
                     raise DroptrackError(
@@ -171,14 +172,14 @@ def _train(job: Job, rank: int) -> Generator[Step, None, None]:
                 if log.is_stale(settings.patience):
                     break
             if rank == 0:
-                save(iteration, "final")
+                save(done, "final")
         except DroptrackError as error:  # a worker's comes wrapped in its traceback
             last = str(error).strip().splitlines()[-1]
             raise DroptrackError(last.removeprefix("droptrack.DroptrackError: ")) from None
         finally:
             if rank == 0:
-                save(iteration, "last")
-                _save_checkpoint(checkpoint, network, optimizer, iteration)
+                save(done, "last")
+                _save_checkpoint(checkpoint, network, optimizer, done)
 
 
 def _step(

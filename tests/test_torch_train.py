@@ -2,7 +2,9 @@
 
 import gc
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
 from data_gen.make_dataset import Recipe, make_dataset, picture_source  # noqa: E402
-from droptrack import DroptrackError  # noqa: E402
+from droptrack import DroptrackError, torch_train  # noqa: E402
 from droptrack.darknet_files import (  # noqa: E402
     parse_cfg,
     read_cfg,
@@ -27,6 +29,7 @@ from droptrack.torch_train import (  # noqa: E402
     learning_rate,
     train,
 )
+from droptrack.training_log import read_log  # noqa: E402
 
 SMALL = Path(__file__).parent / "data/small-yolov3.cfg"
 
@@ -91,6 +94,25 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
         read_weights(tmp_path / n / "small-yolov3_final.weights", cfg) for n in ("whole", "cut")
     )
     np.testing.assert_allclose(end.values, other.values, rtol=1e-2, atol=1e-3)
+
+
+def test_an_iteration_that_was_broken_off_is_done_again(
+    data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal comes in the middle of the fifth iteration."""
+    cfg = read_cfg(SMALL)
+    step, calls = torch_train._step, count(1)
+
+    def interrupted(*arguments: Any) -> Any:
+        if next(calls) == 5:
+            raise KeyboardInterrupt
+        return step(*arguments)
+
+    monkeypatch.setattr(torch_train, "_step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(train(Job(cfg, data, tmp_path, settings(iterations=8))))
+    list(train(Job(cfg, data, tmp_path, settings(iterations=8), resume=True)))
+    assert [row.iteration for row in read_log(tmp_path / "training.csv")] == list(range(1, 9))
 
 
 def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from droptrack.video import grey_plane
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 GRID = 8  # cells a side
 SAMPLES = 2  # samples a side of each cell
@@ -70,10 +71,17 @@ def _sample(
     return np.asarray(np.concatenate(parts).mean(axis=3), np.float64)
 
 
-def cosine_distances(galleries: list[Floats], descriptors: Floats) -> Floats:
-    """Smallest cosine distance (N, M) of each descriptor (M, D) to each of N galleries (K_i, D)."""
-    if not galleries:
-        return np.zeros((0, len(descriptors)))
-    starts = np.cumsum([0, *(len(gallery) for gallery in galleries[:-1])])
-    similarity = np.concatenate(galleries) @ descriptors.T
-    return np.asarray(1 - np.maximum.reduceat(similarity, starts, axis=0))
+def cosine_distances(
+    galleries: list[list[Floats]], descriptors: Floats, rows: Rows, columns: Rows
+) -> Floats:
+    """Smallest cosine distance (P,) of descriptors (M, D) to galleries, N lists of vectors (D,).
+
+    Of pairs: descriptor `columns` to gallery `rows`, which ascend.
+    """
+    distances = np.zeros(len(rows))
+    starts = np.searchsorted(rows, np.arange(len(galleries) + 1))
+    for gallery, start, end in zip(galleries, starts, starts[1:], strict=False):
+        if start < end:
+            likeness = np.array(gallery) @ descriptors[columns[start:end]].T
+            distances[start:end] = 1 - likeness.max(axis=0)
+    return distances

@@ -1,12 +1,11 @@
 """Which detection continues which track: assignment and DeepSORT's matching cascade."""
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -28,33 +27,36 @@ def assign(cost: Floats, max_cost: float) -> tuple[Rows, Rows]:
 
 
 def matching_cascade(
-    cost: Callable[[Rows, Rows], Floats],
-    max_cost: float,
-    ages: Rows,
-    n_detections: int,
-    max_age: int,
+    rows: Rows, columns: Rows, cost: Floats, max_cost: float, ages: Rows, max_age: int
 ) -> tuple[Rows, Rows]:
     """Assign detections to tracks by the tracks' age, those seen last first (DeepSORT, listing 1).
 
-    `ages` (N,): frames since each track was seen, 1 for the frame before this one.
-    `cost(tracks, detections)` gives the costs of some tracks and detections. Returns the tracks and
-    detections that were matched.
+    Of P possible pairs of a track and a detection, with their costs; those above `max_cost` are not
+    matched. `ages` (N,): frames since each track was seen, 1 for the frame before this one. Returns
+    the tracks and detections that were matched.
     """
-    tracks: list[Rows] = []
-    detections: list[Rows] = []
-    free = np.arange(n_detections)
-    for age in range(1, max_age + 1):
-        level = np.flatnonzero(ages == age)
-        if not len(level):
-            continue
-        if not len(free):
-            break
-        rows, columns = assign(cost(level, free), max_cost)
-        tracks.append(level[rows])
-        detections.append(free[columns])
-        free = np.delete(free, columns)
     none = np.zeros(0, np.int64)
-    return np.concatenate([none, *tracks]), np.concatenate([none, *detections])
+    found = [(none, none)]
+    free = np.ones(columns.max(initial=-1) + 1, bool)
+    for age in np.unique(ages[ages <= max_age]):
+        level = (ages[rows] == age) & free[columns] & (cost <= max_cost)
+        matched = assign_sparse(rows[level], columns[level], cost[level], max_cost + 1e-5)
+        free[matched[1]] = False
+        found.append(matched)
+    tracks, detections = zip(*found, strict=True)
+    return np.concatenate(tracks), np.concatenate(detections)
+
+
+def pairs_within(points: Floats, reach: Floats, others: Floats) -> tuple[Rows, Rows]:
+    """Pairs of points (N, 2) and others (M, 2) no further apart, in x and y, than `reach` (N,).
+
+    Sorted by point.
+    """
+    if not len(points) or not len(others):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    near = cKDTree(others).query_ball_point(points, reach, p=np.inf)
+    counts = [len(one) for one in near]
+    return np.repeat(np.arange(len(points)), counts), np.concatenate(near).astype(np.int64)
 
 
 def assign_sparse(

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from droptrack import kalman
 from droptrack.appearance import cosine_distances
-from droptrack.association import FORBIDDEN, assign, matching_cascade
-from droptrack.detections import iou_matrix
+from droptrack.association import assign_sparse, matching_cascade, pairs_within
+from droptrack.detections import iou_of_pairs
 from droptrack.tracks import Update
 
 Floats = NDArray[np.float64]
@@ -80,30 +80,36 @@ class Tracker:
 
     def _match(self, boxes: Floats, measurements: Floats, descriptors: Floats) -> tuple[Rows, Rows]:
         """The cascade for confirmed tracks, then overlap for new ones and those just missed."""
+        p = self.parameters
         ages = np.array([track.age for track in self.tracks], np.int64)
         sure = np.array([track.confirmed for track in self.tracks], bool)
         candidates = np.flatnonzero(sure)
-
-        def appearance(tracks: Rows, detections: Rows) -> Floats:
-            chosen = candidates[tracks]
-            galleries = [np.array(self.tracks[row].gallery) for row in chosen]
-            cost = cosine_distances(galleries, descriptors[detections])
-            distance = kalman.gating_distance(
-                self.mean[chosen], self.covariance[chosen], measurements[detections]
-            )
-            cost[distance > kalman.CHI_SQUARE_95[4]] = FORBIDDEN
-            return cost
-
-        p = self.parameters
-        level, columns = matching_cascade(
-            appearance, p.max_cosine_distance, ages[candidates], len(boxes), p.max_age
+        mean, covariance = self.mean[candidates], self.covariance[candidates]
+        gate = kalman.CHI_SQUARE_95[4]
+        reach = np.sqrt(gate * kalman.innovation_variance(mean, covariance)[:, :2].max(axis=1))
+        rows, columns = pairs_within(mean[:, :2, 0], reach * (1 + 1e-9), measurements[:, :2])
+        near = kalman.gating_distance(mean[rows], covariance[rows], measurements[columns]) <= gate
+        rows, columns = rows[near], columns[near]
+        galleries = [self.tracks[row].gallery for row in candidates]
+        unlike = cosine_distances(galleries, descriptors, rows, columns)
+        level, taken = matching_cascade(
+            rows, columns, unlike, p.max_cosine_distance, ages[candidates], p.max_age
         )
-        rows = candidates[level]
-        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), rows)
-        free = np.setdiff1d(np.arange(len(boxes)), columns)
-        overlap = iou_matrix(kalman.boxes_of(self.mean[rest]), boxes[free])
-        more_rows, more_columns = assign(1 - overlap, p.max_iou_distance)
-        return np.append(rows, rest[more_rows]), np.append(columns, free[more_columns])
+        matched = candidates[level]
+        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), matched)
+        free = np.setdiff1d(np.arange(len(boxes)), taken)
+        expected = kalman.boxes_of(self.mean[rest])
+        # boxes that do not overlap may be matched only if everything may
+        largest = boxes[free, 2:].max(initial=0) if p.max_iou_distance < 1 else np.inf
+        rows, columns = pairs_within(
+            expected[:, :2], (expected[:, 2:].max(axis=1, initial=0) + largest) / 2, boxes[free, :2]
+        )
+        apart = 1 - iou_of_pairs(expected[rows], boxes[free][columns])
+        near = apart <= p.max_iou_distance
+        rows, columns = assign_sparse(
+            rows[near], columns[near], apart[near], p.max_iou_distance + 1e-5
+        )
+        return np.append(matched, rest[rows]), np.append(taken, free[columns])
 
     def _drop_lost(self) -> tuple[int, ...]:
         """A new track ends with its first miss, a confirmed one after more than max_age."""

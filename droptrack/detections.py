@@ -69,10 +69,16 @@ def boxes_from_xyxy(boxes_xyxy: Floats) -> Floats:
 
 def iou_matrix(boxes: Floats, others: Floats) -> Floats:
     """Intersection over union of every box (N, 4) with every other (M, 4): (N, M)."""
-    a, b = xyxy_from_boxes(boxes)[:, None], xyxy_from_boxes(others)[None]
-    overlap = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    intersection = np.prod(np.maximum(overlap, 0), axis=2)
-    areas = np.prod(boxes[:, 2:], axis=1)[:, None] + np.prod(others[:, 2:], axis=1)[None]
+    return iou_of_pairs(boxes[:, None], others[None])
+
+
+def iou_of_pairs(boxes: Floats, others: Floats) -> Floats:
+    """Intersection over union (...,) of boxes (..., 4) with others (..., 4), one by one."""
+    half, other_half = boxes[..., 2:] / 2, others[..., 2:] / 2
+    low = np.maximum(boxes[..., :2] - half, others[..., :2] - other_half)
+    high = np.minimum(boxes[..., :2] + half, others[..., :2] + other_half)
+    intersection = np.prod(np.maximum(high - low, 0), axis=-1)
+    areas = np.prod(boxes[..., 2:], axis=-1) + np.prod(others[..., 2:], axis=-1)
     return np.asarray(intersection / np.maximum(areas - intersection, 1e-300))
 
 

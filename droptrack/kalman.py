@@ -70,9 +70,9 @@ def innovation_variance(mean: Floats, covariance: Floats) -> Floats:
 
 
 def gating_distance(mean: Floats, covariance: Floats, measurements: Floats) -> Floats:
-    """Squared Mahalanobis distances (N, M) of measurements (M, 4) from predictions."""
-    variance = innovation_variance(mean, covariance)[:, None]  # (N, 1, 4)
-    return np.asarray(((measurements[None] - mean[:, None, :, 0]) ** 2 / variance).sum(axis=2))
+    """Squared Mahalanobis distances (N,) of measurements (N, 4) from N predictions."""
+    variance = innovation_variance(mean, covariance)
+    return np.asarray(((measurements - mean[:, :, 0]) ** 2 / variance).sum(axis=1))
 
 
 def _deviations(height: Floats, weight: float, of_aspect: float) -> Floats:

@@ -1,5 +1,6 @@
 """Tracks on drawings whose answer one can count by eye."""
 
+import tracemalloc
 from collections.abc import Sequence
 
 import numpy as np
@@ -105,6 +106,28 @@ def test_three_hundred_droplets_keep_their_identities() -> None:
     assert run(frames, size=26.0) == [list(range(1, 301))] * 20
 
 
+def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
+    """A matrix of all against all would be 800 MB."""
+    x, y = np.meshgrid(np.arange(100) * 30.0, np.arange(100) * 30.0)
+    places = np.column_stack([x.ravel(), y.ravel()])
+    tracker = Tracker(PARAMETERS)
+    tracemalloc.start()
+    for t in range(5):
+        boxes = np.hstack([places + 2 * t, np.full((10_000, 2), 26.0)])
+        update = tracker.update(boxes, np.tile(ALIKE, (10_000, 1)))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100e6
+    assert update.track_ids.tolist() == list(range(1, 10_001))
+
+
+def test_boxes_apart_are_matched_only_where_every_distance_is_allowed() -> None:
+    """An overlap of 0 is a distance of 1."""
+    frames = [[(0.0, 0.0)], [(300.0, 0.0)]]
+    assert run(frames) == [[1], [2]]
+    assert run(frames, parameters=Parameters(max_iou_distance=1)) == [[1], [1]]
+
+
 def test_assignment_takes_the_least_total_not_the_least_pair() -> None:
     """Greedy would take 1 and be left with 9: total 10; the others make 2 + 3."""
     cost = np.array([[1.0, 2.0], [3.0, 9.0]])
@@ -116,17 +139,18 @@ def test_assignment_takes_the_least_total_not_the_least_pair() -> None:
 
 def test_the_cascade_serves_tracks_seen_last_first() -> None:
     """The older track would be the cheaper one, but its turn comes later."""
-    costs = np.array([[0.1], [0.0]])
+    cost = np.array([0.1, 0.0])
     tracks, detections = matching_cascade(
-        lambda rows, columns: costs[np.ix_(rows, columns)], 0.2, np.array([1, 4]), 1, 30
+        np.array([0, 1]), np.array([0, 0]), cost, 0.2, np.array([1, 4]), 30
     )
     assert (tracks.tolist(), detections.tolist()) == ([0], [0])
 
 
 def test_cosine_distance_is_that_to_the_nearest_in_the_gallery() -> None:
-    galleries = [np.eye(3)[:2], np.eye(3)[2:]]
-    expected = [[0.0, 1.0], [1.0, 0.0]]
-    np.testing.assert_allclose(cosine_distances(galleries, np.eye(3)[[0, 2]]), expected)
+    galleries = [list(np.eye(3)[:2]), list(np.eye(3)[2:])]
+    rows, columns = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
+    found = cosine_distances(galleries, np.eye(3)[[0, 2]], rows, columns)
+    np.testing.assert_allclose(found, [0.0, 1.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_fifty_frames_of_five_tracks_agree_with_filterpy() -> None:
             innovation = z[i] - f.x[:4, 0]
             spread = f.H @ f.P @ f.H.T + f.R
             expected = innovation @ np.linalg.solve(spread, innovation)
-            distance = kalman.gating_distance(mean, covariance, z)[i, i]
+            distance = kalman.gating_distance(mean, covariance, z)[i]
             assert distance == pytest.approx(expected, rel=1e-9)
             f.update(z[i])
         mean, covariance = kalman.update(mean, covariance, z)
@@ -81,5 +81,5 @@ def test_steady_gate_is_about_a_quarter_of_the_height() -> None:
     shifts = np.arange(0, 40, 0.05)
     moved = np.repeat(z, len(shifts), axis=0)
     moved[:, 0] += shifts
-    inside = kalman.gating_distance(mean, covariance, moved)[0] < kalman.CHI_SQUARE_95[4]
+    inside = kalman.gating_distance(mean, covariance, moved) < kalman.CHI_SQUARE_95[4]
     assert shifts[inside].max() / 40 == pytest.approx(0.26, abs=0.01)

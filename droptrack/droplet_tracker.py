@@ -219,14 +219,11 @@ class DropletTracker:
             self._learn(rows, innovation, change, mine)
         spread = self._spread(diameters)[rows] / mine**2  # with what has just been learned
         jumped = squares(innovation) > JUMP_FROM * spread
-        sure, unsure = rows[~jumped], rows[jumped]
-        noise = self.noise.centre * mine[~jumped]
-        for part, corrected in (
-            (sure, motion.update(tracks.state[sure], boxes[~jumped, :2], noise)),
-            (unsure, motion.jump(tracks.state[unsure], boxes[jumped, :2])),
-        ):
-            for name, values in vars(corrected).items():
-                getattr(tracks.state, name)[part] = values
+        expected = tracks.state[rows]
+        corrected = motion.update(expected, boxes[:, :2], self.noise.centre * mine)
+        if jumped.any():
+            corrected[jumped] = motion.jump(expected[jumped], boxes[jumped, :2])
+        tracks.state[rows] = corrected
         tracks.innovation[rows] = innovation
         tracks.hits[rows] += 1
         tracks.missed[rows] = 0
@@ -311,19 +308,18 @@ class DropletTracker:
         if not self.parameters.both_ways:
             return ()
         tracks = self.tracks
-        lost = np.flatnonzero(tracks.confirmed & (tracks.missed > 0))
-        if not len(lost):
+        lost, ripe = tracks.confirmed & (tracks.missed > 0), self._ripe() & (tracks.second_of == 0)
+        second = ~tracks.confirmed & (tracks.missed == 0) & (tracks.second_of > 0)
+        if not lost.any() or not (ripe | second).any():
             return ()
-        second = np.flatnonzero(~tracks.confirmed & (tracks.missed == 0) & (tracks.second_of > 0))
         pairs: list[tuple[int, int]] = []
-        for new in second:  # the other box of a droplet that had two is the one that is left
-            match = lost[tracks.ids[lost] == tracks.second_of[new]]
-            if len(match) and match[0] not in (old for _, old in pairs):
-                pairs.append((int(new), int(match[0])))
-        taken_new, taken_old = [n for n, _ in pairs], [o for _, o in pairs]
-        ripe = np.setdiff1d(np.flatnonzero(self._ripe() & (tracks.second_of == 0)), taken_new)
-        lost = np.setdiff1d(lost, taken_old)
-        pairs += self._meet(ripe, lost)
+        # the other box of a droplet that had two is the one that is left
+        for new in np.flatnonzero(second).tolist():
+            match = np.flatnonzero(lost & (tracks.ids == tracks.second_of[new]))
+            if len(match):
+                pairs.append((new, int(match[0])))
+                lost[match[0]] = False
+        pairs += self._meet(np.flatnonzero(ripe), np.flatnonzero(lost))
         if not pairs:
             return ()
         joined = tuple((int(tracks.ids[n]), int(tracks.ids[o])) for n, o in pairs)

@@ -25,6 +25,11 @@ class Motion:
     def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Motion":
         return Motion(self.position[rows], self.velocity[rows], self.covariance[rows])
 
+    def __setitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_], values: "Motion") -> None:
+        self.position[rows] = values.position
+        self.velocity[rows] = values.velocity
+        self.covariance[rows] = values.covariance
+
 
 def squares(vectors: Floats) -> Floats:
     """Squared lengths (N,) of vectors (N, 2)."""

@@ -8,7 +8,7 @@ rolling variances; then the kernel (out, in, height, width).
 
 import os
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -272,6 +272,22 @@ def convolutions(cfg: Cfg) -> list[Convolution]:
             )
         )
     return found
+
+
+def layer_values(
+    cfg: Cfg, weights: Weights
+) -> Iterator[tuple[Convolution, NDArray[np.float32], NDArray[np.float32]]]:
+    """Each convolution, its vectors (1 or 4, outputs) and its kernel (outputs, inputs * size²).
+
+    The vectors are biases and, with batch normalisation, scales, means and variances.
+    """
+    start = 0
+    for convolution in convolutions(cfg):
+        part = weights.values[start : start + convolution.n_values]
+        start += convolution.n_values
+        n = convolution.outputs * (4 if convolution.batch_normalize else 1)
+        vectors = part[:n].reshape(-1, convolution.outputs)
+        yield convolution, vectors, part[n:].reshape(convolution.outputs, -1)
 
 
 def yolo_heads(cfg: Cfg) -> list[YoloHead]:

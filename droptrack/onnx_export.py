@@ -15,8 +15,8 @@ from droptrack.darknet_files import (
     Layer,
     Weights,
     YoloHead,
-    convolutions,
     layer_shapes,
+    layer_values,
     route_sources,
     yolo_heads,
 )
@@ -36,21 +36,19 @@ def folded_convolutions(cfg: Cfg, weights: Weights) -> dict[int, tuple[Float32s,
     (Ioffe and Szegedy 2015, section 3.1, at inference).
     """
     found = {}
-    start = 0
-    for convolution in convolutions(cfg):
-        part = weights.values[start : start + convolution.n_values].astype(np.float64)
-        start += convolution.n_values
-        n = convolution.outputs
-        bias, rest = part[:n], part[n:]
-        factor = np.ones(n)
+    for convolution, vectors, values in layer_values(cfg, weights):
+        bias, *rest = vectors.astype(np.float64)
+        factor = np.ones(convolution.outputs)
         if convolution.batch_normalize:
-            scale, mean, variance = rest[: 3 * n].reshape(3, n)
-            rest = rest[3 * n :]
+            scale, mean, variance = rest
             factor = scale / np.sqrt(variance + BATCH_NORM_EPSILON)
             bias = bias - mean * factor
-        kernel = rest.reshape(n, convolution.inputs, convolution.size, convolution.size)
-        kernel = kernel * factor[:, None, None, None]
-        found[convolution.layer] = (kernel.astype(np.float32), bias.astype(np.float32))
+        kernel = values * factor[:, None]
+        shape = (convolution.outputs, convolution.inputs, convolution.size, convolution.size)
+        found[convolution.layer] = (
+            kernel.reshape(shape).astype(np.float32),
+            bias.astype(np.float32),
+        )
     return found
 
 

@@ -6,20 +6,13 @@ is fitted anew by least squares, so that it computes what it did from all of the
 chosen one after the other, each the one that explains most of what is not yet explained.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.darknet_files import (
-    Cfg,
-    Convolution,
-    Layer,
-    Weights,
-    convolutions,
-    route_sources,
-)
+from droptrack.darknet_files import Cfg, Layer, Weights, layer_values, route_sources
 
 Floats = NDArray[np.float64]
 Float32s = NDArray[np.float32]
@@ -92,7 +85,7 @@ def reductions(
     variance. Layers that would keep all their channels are left as they are.
     """
     found = []
-    kernels = {convolution.layer: kernel for convolution, _, kernel in _parts(cfg, weights)}
+    kernels = {convolution.layer: kernel for convolution, _, kernel in layer_values(cfg, weights)}
     for layer, moment in moments.items():
         kernel = kernels[layer + 1].astype(np.float64)
         kept, fitted = fit(moment.covariance, kernel, error)
@@ -141,7 +134,7 @@ def pruned(cfg: Cfg, weights: Weights, changes: Iterable[Reduction]) -> tuple[Cf
     """The smaller network, with the same layers."""
     by_layer = {change.layer: change for change in changes}
     parts: list[NDArray[np.float32]] = []
-    for convolution, vectors, kernel in _parts(cfg, weights):
+    for convolution, vectors, kernel in layer_values(cfg, weights):
         if change := by_layer.get(convolution.layer):
             parts += [vectors[:, change.kept].ravel(), kernel[change.kept].ravel()]
         elif change := by_layer.get(convolution.layer - 1):
@@ -161,19 +154,3 @@ def pruned(cfg: Cfg, weights: Weights, changes: Iterable[Reduction]) -> tuple[Cf
     )
     values = np.concatenate(parts).astype(np.float32)
     return Cfg(cfg.path, cfg.net, layers), Weights(weights.version, weights.seen, values)
-
-
-def _parts(cfg: Cfg, weights: Weights) -> Sequence[tuple[Convolution, Float32s, Float32s]]:
-    """Each convolution's vectors (1 or 4, outputs) - biases, scales, means, variances - and kernel.
-
-    Kernels are (outputs, inputs * size²).
-    """
-    found = []
-    start = 0
-    for convolution in convolutions(cfg):
-        part = weights.values[start : start + convolution.n_values]
-        start += convolution.n_values
-        n = convolution.outputs * (4 if convolution.batch_normalize else 1)
-        vectors = part[:n].reshape(-1, convolution.outputs)
-        found.append((convolution, vectors, part[n:].reshape(convolution.outputs, -1)))
-    return found

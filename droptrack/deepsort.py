@@ -80,36 +80,42 @@ class Tracker:
 
     def _match(self, boxes: Floats, measurements: Floats, descriptors: Floats) -> tuple[Rows, Rows]:
         """The cascade for confirmed tracks, then overlap for new ones and those just missed."""
-        p = self.parameters
         ages = np.array([track.age for track in self.tracks], np.int64)
         sure = np.array([track.confirmed for track in self.tracks], bool)
-        candidates = np.flatnonzero(sure)
+        rows, columns = self._by_appearance(np.flatnonzero(sure), ages, measurements, descriptors)
+        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), rows)
+        free = np.setdiff1d(np.arange(len(boxes)), columns)
+        more_rows, more_columns = self._by_overlap(rest, boxes[free])
+        return np.append(rows, rest[more_rows]), np.append(columns, free[more_columns])
+
+    def _by_appearance(
+        self, candidates: Rows, ages: Rows, measurements: Floats, descriptors: Floats
+    ) -> tuple[Rows, Rows]:
+        """Matched tracks, of the candidates, and detections: alike, and within the gate."""
+        p, gate = self.parameters, kalman.CHI_SQUARE_95[4]
         mean, covariance = self.mean[candidates], self.covariance[candidates]
-        gate = kalman.CHI_SQUARE_95[4]
         reach = np.sqrt(gate * kalman.innovation_variance(mean, covariance)[:, :2].max(axis=1))
         rows, columns = pairs_within(mean[:, :2, 0], reach * (1 + 1e-9), measurements[:, :2])
         near = kalman.gating_distance(mean[rows], covariance[rows], measurements[columns]) <= gate
         rows, columns = rows[near], columns[near]
         galleries = [self.tracks[row].gallery for row in candidates]
-        unlike = cosine_distances(galleries, descriptors, rows, columns)
-        level, taken = matching_cascade(
-            rows, columns, unlike, p.max_cosine_distance, ages[candidates], p.max_age
+        cost = cosine_distances(galleries, descriptors, rows, columns)
+        matched, taken = matching_cascade(
+            rows, columns, cost, p.max_cosine_distance, ages[candidates], p.max_age
         )
-        matched = candidates[level]
-        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), matched)
-        free = np.setdiff1d(np.arange(len(boxes)), taken)
-        expected = kalman.boxes_of(self.mean[rest])
+        return candidates[matched], taken
+
+    def _by_overlap(self, tracks: Rows, boxes: Floats) -> tuple[Rows, Rows]:
+        """Matched places among the tracks and among the boxes."""
+        most = self.parameters.max_iou_distance
+        expected = kalman.boxes_of(self.mean[tracks])
         # boxes that do not overlap may be matched only if everything may
-        largest = boxes[free, 2:].max(initial=0) if p.max_iou_distance < 1 else np.inf
-        rows, columns = pairs_within(
-            expected[:, :2], (expected[:, 2:].max(axis=1, initial=0) + largest) / 2, boxes[free, :2]
-        )
-        apart = 1 - iou_of_pairs(expected[rows], boxes[free][columns])
-        near = apart <= p.max_iou_distance
-        rows, columns = assign_sparse(
-            rows[near], columns[near], apart[near], p.max_iou_distance + 1e-5
-        )
-        return np.append(matched, rest[rows]), np.append(taken, free[columns])
+        largest = boxes[:, 2:].max(initial=0) if most < 1 else np.inf
+        reach = (expected[:, 2:].max(axis=1, initial=0) + largest) / 2
+        rows, columns = pairs_within(expected[:, :2], reach, boxes[:, :2])
+        cost = 1 - iou_of_pairs(expected[rows], boxes[columns])
+        near = cost <= most
+        return assign_sparse(rows[near], columns[near], cost[near], most + 1e-5)
 
     def _drop_lost(self) -> tuple[int, ...]:
         """A new track ends with its first miss, a confirmed one after more than max_age."""

@@ -15,7 +15,7 @@ from droptrack.pruning import STEP, Moments, fit, prunable_layers, pruned, reduc
 needs_openvino = pytest.mark.skipif(find_spec("openvino") is None, reason="needs openvino")
 
 N = 2 * STEP
-TWO_BRANCHES = f"""
+TWO_TO_PRUNE = f"""
 [net]
 width=96
 height=64
@@ -86,7 +86,7 @@ def test_twins_are_left_out_and_the_maps_stay() -> None:
     """Half of the channels of both layers are copies: OpenCV finds the same maps without them."""
     from droptrack.engines.openvino import layer_outputs
 
-    cfg = parse_cfg(TWO_BRANCHES, Path("branches.cfg"))
+    cfg = parse_cfg(TWO_TO_PRUNE, Path("two.cfg"))
     rng = np.random.default_rng(2)
     values = random_weights(cfg, rng).values
     sizes = [4 * N + N * 27, 4 * 16 + 16 * N, N + N * 16 * 9, 18 + 18 * N]
@@ -116,7 +116,7 @@ def test_twins_are_left_out_and_the_maps_stay() -> None:
 def test_nothing_is_left_out_of_a_network_by_chance() -> None:
     from droptrack.engines.openvino import layer_outputs
 
-    cfg = parse_cfg(TWO_BRANCHES, Path("branches.cfg"))
+    cfg = parse_cfg(TWO_TO_PRUNE, Path("two.cfg"))
     rng = np.random.default_rng(3)
     weights = random_weights(cfg, rng)
     frames = [rng.integers(0, 256, (64, 96, 3)).astype(np.uint8) for _ in range(3)]

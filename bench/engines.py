@@ -47,7 +47,7 @@ from droptrack.engines.opencv_dnn import OpenCvEngine
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg, parse_size
 from droptrack.pipeline import FURTHER_COLUMNS, Results, follow
-from droptrack.pruning import pruned
+from droptrack.pruning import NOTHING, pruned
 from droptrack.quantisation import (
     Calibration,
     find_calibration,
@@ -207,7 +207,7 @@ def random_full(folder: Path) -> tuple[Cfg, Path]:
     write_weights(path, weights)
     pictures = [np.random.default_rng(1).integers(0, 256, (224, 416, 3)).astype(np.uint8)]
     ranges = joined(cfg, output_ranges(cfg, weights, quantised_layers(cfg), pictures))
-    made = Calibration(sha256_of(path), 416, 224, ranges, 1, 0, 0.0, 0.0, ())
+    made = Calibration(sha256_of(path), 416, 224, ranges, 1, 0, 0.0, 0.0, NOTHING)
     write_calibration(path, cfg, made)
     return cfg, path
 
@@ -302,7 +302,7 @@ def engine_of(cfg: Cfg, weights: Path, precision: str, calibration: Calibration 
 
     if precision != "int8":
         return OpenVinoEngine(cfg, values, precision, SCORE, None, streams=2)
-    smaller = pruned(cfg, values, calibration.reductions)
+    smaller = pruned(cfg, values, calibration.pruning)
     return OpenVinoEngine(*smaller, precision, SCORE, calibration.ranges, streams=2)
 
 

@@ -9,14 +9,15 @@ import typer
 
 from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.darknet_files import read_cfg, read_weights, resized
+from droptrack.darknet_files import Cfg, Weights, read_cfg, read_weights, resized
 from droptrack.dataset import read_data_file, read_image, read_truth
 from droptrack.detections import Detections
 from droptrack.detector import Detector, Engine
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
-from droptrack.pruning import Moments, prunable_layers, pruned, reductions
+from droptrack.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
 from droptrack.quantisation import (
+    MAX_LOSS,
     Calibration,
     joined,
     quantised_layers,
@@ -25,7 +26,8 @@ from droptrack.quantisation import (
 )
 from droptrack.video import Frame
 
-PRUNING_ERROR = 4e-4  # docs/performance.md
+PRUNING_ERROR = 2e-4  # docs/performance.md
+PRUNED_LESS = 4  # how much smaller the error is at the next try
 # as Darknet measures mAP
 LEAST_SCORE = 0.005
 MAX_IOU = 0.45
@@ -60,7 +62,7 @@ def main(
     At most 0.2 points of mAP, else it is refused.
     """
     try:
-        from droptrack.engines.openvino import OpenVinoEngine, layer_outputs, output_ranges
+        from droptrack.engines.openvino import OpenVinoEngine, output_ranges
     except ImportError:
         raise DroptrackError("calibrating needs: pip install 'droptrack[openvino]'") from None
     weights = weights or SHIPPED_WEIGHTS
@@ -70,26 +72,18 @@ def main(
     values = read_weights(weights, network)
     pictures = read_data_file(data)
     train, valid = pictures.train[:images], pictures.valid[:checked]
-
-    def frames(stage: str) -> Iterator[Frame]:
-        with progress_bar("pictures") as progress:
-            yield from map(read_image, progress.track(train, description=stage, total=len(train)))
-
-    moments = {layer: Moments() for layer in prunable_layers(network)} if prune else {}
-    if moments:
-        for outputs in layer_outputs(network, values, list(moments), frames("channels")):
-            for layer, moment in moments.items():
-                moment.add(outputs[layer])
-    changes = reductions(network, values, moments, prune)
-    smaller = pruned(network, values, changes)
-    ranges = joined(network, output_ranges(*smaller, quantised_layers(network), frames("ranges")))
-    map_fp32, map_int8 = (
-        mean_average_precision(engine, valid, len(pictures.names))
-        for engine in (
-            OpenVinoEngine(network, values, "fp32", LEAST_SCORE),
-            OpenVinoEngine(*smaller, "int8", LEAST_SCORE, ranges),
+    n_classes = len(pictures.names)
+    exact = OpenVinoEngine(network, values, "fp32", LEAST_SCORE)
+    map_fp32 = mean_average_precision(exact, valid, n_classes)
+    for pruning in prunings(network, values, train, prune):
+        smaller = pruned(network, values, pruning)
+        ranges = joined(
+            network, output_ranges(*smaller, quantised_layers(network), frames(train, "ranges"))
         )
-    )
+        engine = OpenVinoEngine(*smaller, "int8", LEAST_SCORE, ranges)
+        map_int8 = mean_average_precision(engine, valid, n_classes)
+        if map_fp32 - map_int8 <= MAX_LOSS:
+            break
     calibration = Calibration(
         sha256_of(weights),
         network.width,
@@ -99,13 +93,38 @@ def main(
         len(valid),
         map_fp32,
         map_int8,
-        tuple(changes),
+        pruning,
     )
     path = write_calibration(weights, network, calibration)
-    for change in changes:
-        filters = network.layers[change.layer].integer("filters")
-        typer.echo(f"layer {change.layer}: {len(change.kept)} of {filters} channels kept")
+    for layer, rows in pruning.kept.items():
+        filters = network.layers[layer].integer("filters")
+        typer.echo(f"layer {layer}: {len(rows)} of {filters} channels kept")
     typer.echo(f"{path}: mAP@0.50 {map_int8:.4f} in int8, {map_fp32:.4f} in fp32")
+
+
+def frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
+    """Pictures, with a progress bar."""
+    with progress_bar("pictures") as progress:
+        yield from map(read_image, progress.track(paths, description=stage, total=len(paths)))
+
+
+def prunings(
+    cfg: Cfg, weights: Weights, pictures: Sequence[Path], error: float
+) -> Iterator[Pruning]:
+    """What to leave out for an error, for a fourth of it, for a sixteenth, and nothing."""
+    from droptrack.engines.openvino import layer_outputs
+    from droptrack.onnx_export import folded_convolutions
+
+    if error:
+        kernels = {i: kernel for i, (kernel, _) in folded_convolutions(cfg, weights).items()}
+        moments = {i: Moments(centred=kernels[i].shape[2] == 1) for i in readers(cfg)}
+        before = [reader - 1 for reader in moments]
+        for outputs in layer_outputs(cfg, weights, before, frames(pictures, "channels")):
+            for reader, moment in moments.items():
+                moment.add(outputs[reader - 1])
+        for divided in range(3):
+            yield choose(cfg, kernels, moments, error / PRUNED_LESS**divided)
+    yield NOTHING
 
 
 def mean_average_precision(engine: Engine, images: Sequence[Path], n_classes: int) -> float:

@@ -162,7 +162,7 @@ def _make(
             )
         streams = 1 if live else min(2, usable_cores())
         if calibration is not None:
-            smaller = pruned(cfg, weights, calibration.reductions)
+            smaller = pruned(cfg, weights, calibration.pruning)
             return OpenVinoEngine(*smaller, Precision.int8, threshold, calibration.ranges, streams)
         return OpenVinoEngine(cfg, weights, exact, threshold, None, streams)
     from droptrack.engines.pytorch import TorchCudaEngine, TorchEngine

@@ -17,7 +17,7 @@ import numpy as np
 
 from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, route_sources
-from droptrack.pruning import Reduction
+from droptrack.pruning import Pruning, StandIn
 
 Range = tuple[float, float]
 
@@ -36,7 +36,7 @@ class Calibration:
     n_checked: int  # pictures that the mAPs come from
     map_fp32: float  # of all channels
     map_int8: float
-    reductions: tuple[Reduction, ...]  # which channels the 8-bit network has
+    pruning: Pruning  # which channels the 8-bit network has
 
     @property
     def loss(self) -> float:
@@ -142,24 +142,27 @@ def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path
 
 def _to_arrays(calibration: Calibration) -> dict[str, Any]:
     """What a calibration's file holds: the arrays, and the rest as JSON."""
-    about = {key: value for key, value in vars(calibration).items() if key != "reductions"}
+    about = {key: value for key, value in vars(calibration).items() if key != "pruning"}
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
-    for change in calibration.reductions:
-        arrays[f"kept_{change.layer}"] = change.kept
-        arrays[f"kernel_{change.layer}"] = change.kernel
-        arrays[f"shift_{change.layer}"] = change.shift
+    for layer, rows in calibration.pruning.kept.items():
+        arrays[f"kept_{layer}"] = rows
+    for layer, stand_in in calibration.pruning.stand_ins.items():
+        arrays[f"mix_{layer}"] = stand_in.mix
+        arrays[f"offset_{layer}"] = stand_in.offset
     return arrays
 
 
 def _from_arrays(arrays: dict[str, Any]) -> Calibration:
+    def layers(prefix: str) -> list[int]:
+        return [int(name.removeprefix(prefix)) for name in arrays if name.startswith(prefix)]
+
     about = json.loads(str(arrays["about"]))
     ranges = {int(layer): (float(a), float(b)) for layer, (a, b) in about["ranges"].items()}
-    layers = [int(name.removeprefix("kept_")) for name in arrays if name.startswith("kept_")]
-    reductions = tuple(
-        Reduction(i, arrays[f"kept_{i}"], arrays[f"kernel_{i}"], arrays[f"shift_{i}"])
-        for i in layers
+    pruning = Pruning(
+        {i: arrays[f"kept_{i}"] for i in layers("kept_")},
+        {i: StandIn(arrays[f"mix_{i}"], arrays[f"offset_{i}"]) for i in layers("mix_")},
     )
-    return Calibration(**{**about, "ranges": ranges, "reductions": reductions})
+    return Calibration(**{**about, "ranges": ranges, "pruning": pruning})
 
 
 def _places(weights: Path, cfg: Cfg, digest: str) -> tuple[Path, Path]:

@@ -23,6 +23,7 @@ from droptrack.engine_choice import Backend, Network, Precision, choose_detector
 from droptrack.engines.opencv_dnn import has_cuda
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
+from droptrack.pruning import NOTHING
 from droptrack.quantisation import (
     Calibration,
     find_calibration,
@@ -274,7 +275,7 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
 
 def calibration(weights: Path, loss: float = 0.0) -> Calibration:
     ranges = dict.fromkeys(quantised_layers(CFG), (-1.0, 10.0))
-    return Calibration(sha256_of(weights), 960, 480, ranges, 8, 9, 0.99, 0.99 - loss, ())
+    return Calibration(sha256_of(weights), 960, 480, ranges, 8, 9, 0.99, 0.99 - loss, NOTHING)
 
 
 def test_a_calibration_is_kept_beside_the_weights_and_holds_for_them_only(tmp_path: Path) -> None:
@@ -316,23 +317,25 @@ def test_eight_bits_that_cost_too_much_are_refused(tmp_path: Path, loss: float) 
 
 
 @needs_openvino
-def test_the_command_calibrates_on_a_data_set(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("error", "pruned"), [("0.0002", True), ("1", False)])
+def test_the_command_calibrates_on_a_data_set(tmp_path: Path, error: str, pruned: bool) -> None:
+    """An error that costs too much is made smaller, down to none."""
     data = tmp_path / "data"
-    for _ in make_dataset(data, Recipe("a", 3, 4, 1), workers=1):
+    for _ in make_dataset(data, Recipe("a", 12, 4, 1), workers=1):
         pass
     weights = tmp_path / "mine.weights"
     shutil.copy(SHIPPED_WEIGHTS, weights)
     arguments = ["calibrate", "--weights", str(weights), "--cfg", str(CFG.path)]
-    arguments += ["--data", str(data / "obj.data"), "--size", "480x256"]
+    arguments += ["--data", str(data / "obj.data"), "--size", "480x256", "--prune", error]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     cfg = resized(CFG, 480, 256)
     kept = find_calibration(weights, cfg)
     assert kept is not None
-    assert (kept.n_calibrated, kept.n_checked) == (3, 4)
+    assert (kept.n_calibrated, kept.n_checked) == (12, 4)
     assert kept.map_fp32 > 0.9
     assert kept.loss <= quantisation.MAX_LOSS
-    assert [change.layer for change in kept.reductions] == [12, 14, 21]
-    assert all(len(change.kept) < 1024 for change in kept.reductions)
+    assert kept.pruning.kept.keys() >= ({8, 10, 12, 14, 21} if pruned else set())
+    assert bool(kept.pruning.stand_ins) == pruned
     network = Network(cfg, weights, 0.25, 0.45)
     assert choose_detector(network, precision=Precision.int8).engine.name == "openvino int8"

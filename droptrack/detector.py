@@ -21,11 +21,12 @@ class Engine(Protocol):
     """Runs a network; each file in `engines` has one or two.
 
     `name` says what runs it and how precisely; `parallel` is the number of threads that may call it
-    at once.
+    at once, `opencv_threads` the number in which it lets OpenCV compute.
     """
 
     name: str
     parallel: int
+    opencv_threads: int
 
     def prepare(self, frames: Sequence[Frame]) -> Any:
         """Frames (H, W, 3) of one size -> the network's input."""

@@ -24,7 +24,7 @@ from droptrack.report import Report, Value
 from droptrack.smoothing import COLUMNS as SMOOTHED
 from droptrack.smoothing import Smoother
 from droptrack.stage_times import StageTimes
-from droptrack.threads import AnnotatedVideo, FrameReader, NumberedFrame
+from droptrack.threads import AnnotatedVideo, FrameReader, NumberedFrame, side_by_side
 from droptrack.tracks import Tracker
 from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.video import Frame
@@ -135,8 +135,9 @@ def follow(
     """
     follower = Follower(tracker, describe, results)
     running: deque[tuple[list[NumberedFrame], Future[list[Detections]]]] = deque()
-    most = 0 if live else detector.engine.parallel
-    pool = ThreadPoolExecutor(detector.engine.parallel, thread_name_prefix="network")
+    engine = detector.engine
+    most = 0 if live else 2 * engine.parallel  # so that networks wait for nobody
+    pool = ThreadPoolExecutor(engine.parallel, thread_name_prefix="network")
 
     def finish_oldest() -> int:
         items, future = running[0]
@@ -147,7 +148,10 @@ def follow(
         return results.n_frames
 
     try:
-        with FrameReader(frames, results.times, newest=live) as reader:
+        with (
+            side_by_side(engine.opencv_threads),
+            FrameReader(frames, results.times, newest=live) as reader,
+        ):
             source = iter(reader)
             while items := list(islice(source, 1 if live else batch)):
                 pictures = [item.frame for item in items]

@@ -1,12 +1,16 @@
 """Frames decoded ahead and videos written behind, each in a thread of its own, memory bounded."""
 
 import queue
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import NamedTuple, Self
+
+import cv2
 
 from droptrack.drawing import Annotator
 from droptrack.recorder import Row
@@ -14,6 +18,24 @@ from droptrack.stage_times import StageTimes
 from droptrack.video import Frame, VideoWriter
 
 READ_AHEAD = 4  # frames
+TURN = 1e-4  # seconds for which a thread keeps Python to itself while others wait
+
+
+@contextmanager
+def side_by_side(opencv_threads: int) -> Iterator[None]:
+    """Settings of the whole process under which stages overlap well.
+
+    A stage that needs Python for a moment gets it soon, and OpenCV, whose threads would wait for
+    one another beside other stages, has at most as many as are said.
+    """
+    turn, threads = sys.getswitchinterval(), cv2.getNumThreads()
+    sys.setswitchinterval(TURN)
+    cv2.setNumThreads(min(threads, opencv_threads))
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(turn)
+        cv2.setNumThreads(threads)
 
 
 class NumberedFrame(NamedTuple):

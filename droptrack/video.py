@@ -199,8 +199,9 @@ def _read_capture(capture: cv2.VideoCapture) -> Iterator[tuple[int, Frame]]:
                 return
             frame = as_frame(image)
             if maybe_grey:
-                blue, green, red = cv2.split(frame)
-                maybe_grey = np.array_equal(blue, green) and np.array_equal(green, red)
+                green = cv2.extractChannel(frame, 1)
+                without_colour = cv2.cvtColor(green, cv2.COLOR_GRAY2BGR)
+                maybe_grey = cv2.norm(frame, without_colour, cv2.NORM_INF) == 0
                 frame = grey_frame(np.asarray(green, np.uint8)) if maybe_grey else frame
             yield index, frame
     finally:

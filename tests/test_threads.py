@@ -1,10 +1,12 @@
 """Stages that overlap: order, bounds, dropped frames, and problems that surface."""
 
+import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from droptrack.deepsort import Parameters, Tracker
 from droptrack.detector import Detector, Float32s
 from droptrack.pipeline import FURTHER_COLUMNS, Results, follow
 from droptrack.stage_times import StageTimes
-from droptrack.threads import READ_AHEAD, AnnotatedVideo, FrameReader
+from droptrack.threads import READ_AHEAD, AnnotatedVideo, FrameReader, side_by_side
 from droptrack.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.video import Frame, Video, VideoInfo, VideoWriter
 
@@ -34,6 +36,7 @@ class GreyLevelEngine:
     """
 
     name = "test"
+    opencv_threads = 1
 
     def __init__(self, parallel: int, seconds: float | None = None) -> None:
         self.parallel, self._seconds = parallel, seconds
@@ -150,3 +153,13 @@ def test_a_problem_while_writing_a_video_surfaces(tmp_path: Path) -> None:
         video.write(number, frame, [])
     with pytest.raises(ValueError, match="in a video of"):
         video.close()
+
+
+def test_settings_of_the_process_are_put_back() -> None:
+    before = sys.getswitchinterval(), cv2.getNumThreads()
+    with side_by_side(1):
+        assert cv2.getNumThreads() == 1
+        assert sys.getswitchinterval() < before[0]
+    assert (sys.getswitchinterval(), cv2.getNumThreads()) == before
+    with side_by_side(sys.maxsize):
+        assert cv2.getNumThreads() == before[1]

@@ -1,5 +1,6 @@
 """Darknet networks through OpenCV's DNN module, on the CPU or with CUDA."""
 
+import sys
 from collections.abc import Sequence
 
 import cv2
@@ -29,6 +30,7 @@ class OpenCvEngine:
     """
 
     parallel = 1
+    opencv_threads = sys.maxsize
 
     def __init__(
         self, cfg: Cfg, weights: Weights, backend: str, precision: str, threshold: float

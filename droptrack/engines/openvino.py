@@ -30,6 +30,8 @@ class OpenVinoEngine:
     picture to boxes, two for more pictures a second. Grey frames take a network with one channel.
     """
 
+    opencv_threads = 1
+
     def __init__(
         self,
         cfg: Cfg,

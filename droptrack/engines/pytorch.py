@@ -63,6 +63,7 @@ class TorchEngine:
     """A network in PyTorch on the CPU."""
 
     parallel = 1
+    opencv_threads = 1
     device = "cpu"
 
     def __init__(self, cfg: Cfg, weights: Weights, precision: str, threshold: float) -> None:

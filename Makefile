@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
 SEED ?= 0
-ARGS ?= # more options for a training: make train ARGS=--resume
+ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
 .PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
 
@@ -58,7 +58,7 @@ calibrate: dev
 	$(BIN)/python -m data_gen.make_dataset --scene all --images 200 --valid 600 --seed 7 \
 		--out datasets/calibration
 	$(BIN)/python -m droptrack.calibrate --data datasets/calibration/obj.data \
-		--images 200 --checked 600
+		--images 200 --checked 600 $(ARGS)
 
 bench: dev
 	$(BIN)/python -m bench

@@ -176,10 +176,18 @@ def test_an_engine_that_fails_is_passed_over_by_auto_and_named(
 
 
 @needs_openvino
-def test_auto_takes_int8_only_where_it_is_calibrated() -> None:
-    assert detector("auto", "auto").engine.name == "openvino int8"
+@pytest.mark.parametrize(
+    ("faster", "calibrated", "other"),
+    [({"int8", "bf16"}, "int8", "bf16"), ({"bf16"}, "bf16", "bf16"), (set(), "fp32", "fp32")],
+)
+def test_auto_takes_int8_where_it_is_calibrated_else_bf16(
+    monkeypatch: pytest.MonkeyPatch, faster: set[str], calibrated: str, other: str
+) -> None:
+    monkeypatch.setattr("droptrack.engines.openvino.computes_faster_in", faster.__contains__)
+    network = Network(CFG, SHIPPED_WEIGHTS, 0.25, 0.45)
+    assert choose_detector(network).engine.name == f"openvino {calibrated}"
     network = Network(resized(CFG, 96, 64), SHIPPED_WEIGHTS, 0.25, 0.45)
-    assert choose_detector(network).engine.name == "openvino fp32"
+    assert choose_detector(network).engine.name == f"openvino {other}"
     with pytest.raises(DroptrackError, match=r"calibrate --weights .* --size 96x64"):
         choose_detector(network, Backend.openvino, Precision.int8)
 

@@ -116,9 +116,9 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def computes_int8() -> bool:
-    """Whether this CPU computes in int8 faster than in fp32."""
-    return "INT8" in core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
+def computes_faster_in(precision: str) -> bool:
+    """Whether this CPU computes in bf16 or int8 faster than in fp32."""
+    return precision.upper() in core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
 
 
 def layer_outputs(

@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, helper
 
 from droptrack import DroptrackError, __version__
 from droptrack.darknet_files import (
@@ -20,6 +19,8 @@ from droptrack.darknet_files import (
     route_sources,
     yolo_heads,
 )
+from droptrack.onnx_graph import Graph
+from droptrack.onnx_pools import ByteConvolution, pooled, pooled_layers, pooled_picture
 
 Float32s = NDArray[np.float32]
 Range = tuple[float, float]
@@ -61,6 +62,7 @@ def onnx_model(
     grey: bool = False,
     ranges: Mapping[int, Range] | None = None,
     taps: Sequence[int] = (),
+    pool_bytes: bool = False,
 ) -> onnx.ModelProto:
     """The network as an ONNX model for any batch B of pictures of the cfg's size.
 
@@ -72,10 +74,11 @@ def onnx_model(
 
     `ranges`: the least and largest value of layers' outputs by index; with them, these layers and
     all kernels are quantised to 8 bits (QuantizeLinear, DequantizeLinear). `taps`: layers whose
-    outputs are put out too, as `layer_0` and so on. Raises DroptrackError for layers that are not
+    outputs are put out too, as `layer_0` and so on. `pool_bytes`: with `ranges`, compute the first
+    pools as `onnx_pools` does, for OpenVINO. Raises DroptrackError for layers that are not
     supported, with their line.
     """
-    graph = _Graph()
+    graph = Graph()
     kernels = folded_convolutions(cfg, weights)
     if grey:
         first = min(kernels)
@@ -84,16 +87,26 @@ def onnx_model(
     heads = {head.layer: head for head in yolo_heads(cfg)}
     names: list[str] = []
     maps: list[str] = []
+    together = pooled_layers(cfg) if ranges is not None and pool_bytes else set()
     x = _input(graph, pixels=pixels, quantised=ranges is not None)
     for index, layer in enumerate(cfg.layers):
-        if layer.kind == "convolutional":
+        if index in together:
+            assert ranges is not None
+            both = _byte_convolution(*kernels[index], ranges[index])
+            if index == 0 and grey and pixels:
+                x = pooled_picture(graph, "images", both, cfg.height, cfg.width)
+            else:
+                x = pooled(graph, x, both)
+        elif index - 1 in together:
+            pass
+        elif layer.kind == "convolutional":
             x = _convolution(graph, layer, x, *kernels[index], quantised=ranges is not None)
             x = _activation(graph, layer, x, default="logistic")
         elif layer.kind == "yolo":
             maps.append(_decoded(graph, heads[index], x, cfg) if decode else x)
         else:
             x = _plain_layer(graph, layer, index, x, names, layer_shapes(cfg))
-        if ranges is not None and index in ranges:
+        if ranges is not None and index in ranges and index not in together:
             x = _quantised(graph, x, ranges[index])
         names.append(x)
     channels = 1 if grey else cfg.net.integer("channels", 3)
@@ -124,31 +137,7 @@ def write_onnx(path: Path, model: onnx.ModelProto) -> None:
         raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-class _Graph:
-    """Nodes and constants of a graph in the making; a node is named by its output."""
-
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
-
-    def node(self, operator: str, *inputs: str, name: str = "", **attributes: Any) -> str:
-        output = name or f"{operator}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, inputs, [output], output, **attributes))
-        return output
-
-    def constant(self, values: NDArray[Any] | np.generic) -> str:
-        name = f"constant_{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.asarray(values), name))
-        return name
-
-    def floats(self, *values: float) -> str:
-        return self.constant(np.array(values, np.float32))
-
-    def integers(self, *values: int) -> str:
-        return self.constant(np.array(values, np.int64))
-
-
-def _input(graph: _Graph, *, pixels: bool, quantised: bool) -> str:
+def _input(graph: Graph, *, pixels: bool, quantised: bool) -> str:
     """The picture in [0, 1], which 8 bits hold exactly."""
     if not quantised and not pixels:
         return "images"
@@ -158,14 +147,13 @@ def _input(graph: _Graph, *, pixels: bool, quantised: bool) -> str:
 
 
 def _convolution(
-    graph: _Graph, layer: Layer, x: str, kernel: Float32s, bias: Float32s, *, quantised: bool
+    graph: Graph, layer: Layer, x: str, kernel: Float32s, bias: Float32s, *, quantised: bool
 ) -> str:
     size = kernel.shape[2]
     stride = layer.integer("stride", 1)
     padding = size // 2 if layer.integer("pad", 0) else layer.integer("padding", 0)
     if quantised:
-        scale = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), 1e-12) / np.float32(127)
-        steps = np.round(kernel / scale[:, None, None, None]).astype(np.int8)
+        steps, scale = _kernel_steps(kernel)
         zeros = graph.constant(np.zeros(len(scale), np.int8))
         weight = graph.node(
             "DequantizeLinear", graph.constant(steps), graph.constant(scale), zeros, axis=0
@@ -184,7 +172,17 @@ def _convolution(
     )
 
 
-def _activation(graph: _Graph, layer: Layer, x: str, default: str) -> str:
+def _kernel_steps(kernel: Float32s) -> tuple[NDArray[np.int8], Float32s]:
+    """A kernel (out, in, h, w) in 8-bit steps, and their scale (out,)."""
+    scale = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), 1e-12) / np.float32(127)
+    return np.round(kernel / scale[:, None, None, None]).astype(np.int8), scale
+
+
+def _byte_convolution(kernel: Float32s, bias: Float32s, limits: Range) -> ByteConvolution:
+    return ByteConvolution(*_kernel_steps(kernel), bias, *_byte_steps(limits))
+
+
+def _activation(graph: Graph, layer: Layer, x: str, default: str) -> str:
     activation = layer.text("activation", default)
     if activation == "leaky":
         return graph.node("LeakyRelu", x, alpha=0.1)
@@ -196,7 +194,7 @@ def _activation(graph: _Graph, layer: Layer, x: str, default: str) -> str:
 
 
 def _plain_layer(
-    graph: _Graph,
+    graph: Graph,
     layer: Layer,
     index: int,
     x: str,
@@ -244,16 +242,20 @@ def _plain_layer(
     raise DroptrackError(f"line {layer.line}: layer [{layer.kind}] is not supported")
 
 
-def _quantised(graph: _Graph, x: str, limits: Range) -> str:
-    """`x` on the 256 steps between its limits, zero being one of them."""
+def _byte_steps(limits: Range) -> tuple[np.float32, np.uint8]:
+    """Scale of 256 steps between two limits, and which of them is zero."""
     low, high = min(limits[0], 0.0), max(limits[1], 1e-6)
     scale = np.float32((high - low) / 255)
-    step = graph.constant(scale)
-    zero = graph.constant(np.uint8(np.clip(round(-low / float(scale)), 0, 255)))
+    return scale, np.uint8(np.clip(round(-low / float(scale)), 0, 255))
+
+
+def _quantised(graph: Graph, x: str, limits: Range) -> str:
+    """`x` on the 256 steps between its limits, zero being one of them."""
+    step, zero = (graph.constant(value) for value in _byte_steps(limits))
     return graph.node("DequantizeLinear", graph.node("QuantizeLinear", x, step, zero), step, zero)
 
 
-def _decoded(graph: _Graph, head: YoloHead, x: str, cfg: Cfg) -> str:
+def _decoded(graph: Graph, head: YoloHead, x: str, cfg: Cfg) -> str:
     """A head's map -> rows (B, N, 5 + C) (YOLOv3, section 2.1), as `detector.decode_head`."""
     rows, columns, anchors = cfg.height // head.stride, cfg.width // head.stride, len(head.anchors)
     apart = graph.node("Reshape", x, graph.integers(-1, anchors, 5 + head.classes, rows * columns))
@@ -283,7 +285,7 @@ def _decoded(graph: _Graph, head: YoloHead, x: str, cfg: Cfg) -> str:
 
 
 def _outputs(
-    graph: _Graph, cfg: Cfg, heads: list[YoloHead], maps: list[str], *, decode: bool
+    graph: Graph, cfg: Cfg, heads: list[YoloHead], maps: list[str], *, decode: bool
 ) -> list[onnx.ValueInfoProto]:
     """Name the outputs and describe their shapes."""
     if decode:

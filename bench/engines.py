@@ -179,6 +179,7 @@ def detector(cfg: Cfg, weights: Path, backend: str, precision: str) -> Detector 
 
 ENGINES = (
     ("opencv", "fp32"),
+    ("opencv", "auto"),
     ("torch", "fp32"),
     ("openvino", "fp32"),
     ("openvino", "bf16"),
@@ -189,10 +190,10 @@ ENGINES = (
 
 def cases_of(name: str, cfg: Cfg, weights: Path, n_frames: int) -> list[Case]:
     """A network on every engine that is here."""
-    found = [(engine, detector(cfg, weights, *engine)) for engine in ENGINES]
+    found = [detector(cfg, weights, *engine) for engine in ENGINES]
     return [
-        Case(f"{name} {cfg.width} x {cfg.height}, {' '.join(engine)}", cfg, weights, n_frames, made)
-        for engine, made in found
+        Case(f"{name} {cfg.width} x {cfg.height}, {made.engine.name}", cfg, weights, n_frames, made)
+        for made in found
         if made is not None
     ]
 

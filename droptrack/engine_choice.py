@@ -40,7 +40,7 @@ class Precision(StrEnum):
     int8 = "int8"
 
 
-# what each computes in; the first is what `auto` takes, but OpenVINO has the fastest of the CPU's
+# what each computes in; the first is what `auto` takes, but for OpenVINO the fastest of the CPU's
 PRECISIONS = {
     Backend.torch_cuda: (Precision.fp16, Precision.bf16, Precision.fp32),
     Backend.opencv_cuda: (Precision.fp32, Precision.fp16),
@@ -48,6 +48,7 @@ PRECISIONS = {
     Backend.opencv: (Precision.fp32,),
     Backend.torch: (Precision.fp32, Precision.bf16),
 }
+ON_CPU = (Backend.openvino, Backend.opencv, Backend.torch)
 EXTRAS = {"torch": "train", "openvino": "openvino", "onnx": "openvino"}
 
 
@@ -76,7 +77,8 @@ def choose_detector(
     """A detector on the engine and with the precision wanted.
 
     `auto` takes the fastest that is installed and computes a picture, and tells `say` which did
-    not. `live` asks for the shortest time a frame rather than the most frames a second. Raises
+    not. On a CPU, the precision `auto` and int8 have the network pruned where a calibration says
+    how. `live` asks for the shortest time a frame rather than the most frames a second. Raises
     DroptrackError when what was named is not to be had.
     """
     weights = network.weights()
@@ -144,39 +146,47 @@ def _engine(
 def _make(
     network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
 ) -> Engine:
-    cfg, threshold = network.cfg, network.threshold
-    exact = PRECISIONS[backend][0] if precision is Precision.auto else precision
-    if backend in (Backend.opencv, Backend.opencv_cuda):
-        return opencv_dnn.OpenCvEngine(cfg, weights, backend, exact, threshold)
-    if backend is Backend.openvino:
-        return _make_openvino(network, weights, precision, live=live)
-    from droptrack.engines.pytorch import TorchCudaEngine, TorchEngine
-
-    kind = TorchCudaEngine if backend is Backend.torch_cuda else TorchEngine
-    return kind(cfg, weights, exact, threshold)
-
-
-def _make_openvino(
-    network: Network, weights: Weights, precision: Precision, *, live: bool
-) -> Engine:
-    """In int8 where that is calibrated, else in bf16, where the CPU computes faster in them."""
-    from droptrack.engines.openvino import OpenVinoEngine, computes_faster_in, usable_cores
-
-    cfg, path = network.cfg, network.weights_path
+    cfg, path, threshold = network.cfg, network.weights_path, network.threshold
     automatic = precision is Precision.auto
-    streams = 1 if live else min(2, usable_cores())
-    if precision is Precision.int8 or (automatic and computes_faster_in("int8")):
+    calibration = None
+    if precision is Precision.int8 or (automatic and backend in ON_CPU):
         calibration = find_calibration(path, cfg)
-        if calibration is not None:
-            smaller = pruned(cfg, weights, calibration.pruning)
-            ranges = calibration.ranges
-            return OpenVinoEngine(*smaller, "int8", network.threshold, ranges, streams)
-        if not automatic:
-            raise DroptrackError(
-                f"--precision int8: {path} is not calibrated for {cfg.width} x {cfg.height} px: "
-                f"python -m droptrack.calibrate --weights {path} --size {cfg.width}x{cfg.height} "
-                "--data DIR/obj.data"
-            )
+    if precision is Precision.int8 and calibration is None:
+        raise DroptrackError(
+            f"--precision int8: {path} is not calibrated for {cfg.width} x {cfg.height} px: "
+            f"python -m droptrack.calibrate --weights {path} --size {cfg.width}x{cfg.height} "
+            "--data DIR/obj.data"
+        )
+    if calibration is not None:
+        cfg, weights = pruned(cfg, weights, calibration.pruning)
     if automatic:
-        precision = Precision.bf16 if computes_faster_in("bf16") else Precision.fp32
-    return OpenVinoEngine(cfg, weights, precision, network.threshold, None, streams)
+        precision = _fastest(backend, calibrated=calibration is not None)
+    engine: Engine
+    if backend in (Backend.opencv, Backend.opencv_cuda):
+        engine = opencv_dnn.OpenCvEngine(cfg, weights, backend, precision, threshold)
+    elif backend is Backend.openvino:
+        from droptrack.engines.openvino import OpenVinoEngine, usable_cores
+
+        ranges = calibration.ranges if calibration and precision is Precision.int8 else None
+        streams = 1 if live else min(2, usable_cores())
+        engine = OpenVinoEngine(cfg, weights, precision, threshold, ranges, streams)
+    else:
+        from droptrack.engines.pytorch import TorchCudaEngine, TorchEngine
+
+        kind = TorchCudaEngine if backend is Backend.torch_cuda else TorchEngine
+        engine = kind(cfg, weights, precision, threshold)
+    if calibration is not None and calibration.pruning.kept:
+        engine.name += ", pruned"
+    return engine
+
+
+def _fastest(backend: Backend, *, calibrated: bool) -> Precision:
+    """The precision that `auto` stands for."""
+    if backend is Backend.openvino:
+        from droptrack.engines.openvino import computes_faster_in
+
+        if calibrated and computes_faster_in("int8"):
+            return Precision.int8
+        if computes_faster_in("bf16"):
+            return Precision.bf16
+    return PRECISIONS[backend][0]

@@ -52,7 +52,7 @@ def main(
         Backend, typer.Option(help="What runs the network; auto: the fastest that works here.")
     ] = Backend.auto,
     precision: Annotated[
-        Precision, typer.Option(help="auto: int8 where it is calibrated, else bf16 or fp32.")
+        Precision, typer.Option(help="auto: the fastest that was checked; fp32: the exact network.")
     ] = Precision.auto,
     size: Annotated[
         str | None, typer.Option(metavar="WxH", help="The network's input, px; default the cfg's.")

@@ -65,6 +65,7 @@ EXACT = [
 ROUNDED = [
     pytest.param("openvino", "bf16", marks=needs_openvino),
     pytest.param("openvino", "int8", marks=needs_openvino),
+    ("opencv", "auto"),  # pruned
     pytest.param("torch", "bf16", marks=needs_torch),
     pytest.param("torch-cuda", "fp16", marks=needs_gpu),
     pytest.param("torch-cuda", "bf16", marks=needs_gpu),
@@ -175,6 +176,11 @@ def test_an_engine_that_fails_is_passed_over_by_auto_and_named(
         choose_detector(network, Backend.openvino)
 
 
+def test_auto_has_the_network_pruned_and_a_named_precision_has_all_of_it() -> None:
+    assert detector("opencv", "auto").engine.name == "opencv fp32, pruned"
+    assert detector("opencv", "fp32").engine.name == "opencv fp32"
+
+
 @needs_openvino
 @pytest.mark.parametrize(
     ("faster", "calibrated", "other"),
@@ -185,7 +191,7 @@ def test_auto_takes_int8_where_it_is_calibrated_else_bf16(
 ) -> None:
     monkeypatch.setattr("droptrack.engines.openvino.computes_faster_in", faster.__contains__)
     network = Network(CFG, SHIPPED_WEIGHTS, 0.25, 0.45)
-    assert choose_detector(network).engine.name == f"openvino {calibrated}"
+    assert choose_detector(network).engine.name == f"openvino {calibrated}, pruned"
     network = Network(resized(CFG, 96, 64), SHIPPED_WEIGHTS, 0.25, 0.45)
     assert choose_detector(network).engine.name == f"openvino {other}"
     with pytest.raises(DroptrackError, match=r"calibrate --weights .* --size 96x64"):
@@ -345,5 +351,5 @@ def test_the_command_calibrates_on_a_data_set(tmp_path: Path, error: str, pruned
     assert kept.loss <= quantisation.MAX_LOSS
     assert kept.pruning.kept.keys() >= ({8, 10, 12, 14, 21} if pruned else set())
     assert bool(kept.pruning.stand_ins) == pruned
-    network = Network(cfg, weights, 0.25, 0.45)
-    assert choose_detector(network, precision=Precision.int8).engine.name == "openvino int8"
+    engine = choose_detector(Network(cfg, weights, 0.25, 0.45), precision=Precision.int8).engine
+    assert engine.name == "openvino int8" + pruned * ", pruned"

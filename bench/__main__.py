@@ -1,10 +1,11 @@
 """Measure speed and accuracy: ``python -m bench``, or one of its commands."""
 
 import os
-import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -14,44 +15,34 @@ from rich.console import Console
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
+from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
 from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes import SCENES
-from droptrack.appearance import describe
+from droptrack.appearance import describe_nothing
 from droptrack.centroid import centres_of_mass
 from droptrack.command_line import new_app, progress_bar
 from droptrack.darknet_files import read_cfg
-from droptrack.deepsort import Parameters, Tracker
+from droptrack.deepsort import Parameters
 from droptrack.detections import Detections, labels
-from droptrack.detector import Detector
-from droptrack.engine_choice import Backend, Network, choose_detector
+from droptrack.detector import Detector, select
+from droptrack.engine_choice import Backend, Network, Precision, choose_detector
 from droptrack.metrics import average_precision
-from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg
-from droptrack.video import Frame
+from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
+from droptrack.pipeline import FURTHER_COLUMNS, Results
+from droptrack.recorder import Recorder
+from droptrack.threads import side_by_side
+from droptrack.tracker_choice import TrackerName, make_tracker
+from droptrack.trajectories import TrajectoryWriter
+from droptrack.video import Video
 
 app = new_app()
 console = Console()
 
 
-def milliseconds(action: Callable[[], object], repeat: int) -> float:
-    """The median time of an action, after one that is not counted."""
-    action()
-    times = []
-    for _ in range(repeat):
-        start = time.perf_counter()
-        action()
-        times.append(1e3 * (time.perf_counter() - start))
-    return statistics.median(times)
-
-
 def shipped(threshold: float) -> Detector:
-    """The network that ships, in OpenCV."""
-    cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45), Backend.opencv)
-
-
-def colour(image: np.ndarray) -> Frame:
-    """A grey picture as a frame."""
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    """The network that ships, all of it, in OpenCV."""
+    network = Network(read_cfg(find_cfg(SHIPPED_WEIGHTS)), SHIPPED_WEIGHTS, threshold, 0.45)
+    return choose_detector(network, Backend.opencv, Precision.fp32)
 
 
 @app.command()
@@ -69,34 +60,49 @@ def dataset(images: int = 10_000) -> None:
 
 
 @app.command()
-def stages(repeat: int = 15) -> None:
-    """Milliseconds a frame of each stage of tracking, and the network against a plain loop's."""
-    rng = np.random.default_rng(0)
-    scene = next(
-        s for s in (SCENES["c"](np.random.default_rng(n)) for n in range(99)) if len(s.boxes) >= 50
-    )
-    frame, boxes = colour(scene.image), scene.boxes[:50]
-    detector = shipped(0.4)
-    tracker = Tracker(Parameters())
-    table = Table("stage", "ms a frame", title=f"1200 x 600 px, {len(boxes)} droplets")
-    cfg = SHIPPED / "yolov3-tiny.cfg"
-    plain = cv2.dnn.readNetFromDarknet(str(cfg), str(SHIPPED_WEIGHTS))
+def stages(frames: int = 150) -> None:
+    """Processor time a frame of each stage of tracking, one after the other."""
+    spent: defaultdict[str, float] = defaultdict(float)
 
-    def plain_416() -> None:
-        plain.setInput(cv2.dnn.blobFromImage(frame, 1 / 255, (416, 416), swapRB=True))
-        plain.forward(plain.getUnconnectedOutLayersNames())
+    @contextmanager
+    def measure(stage: str) -> Iterator[None]:
+        start = time.process_time()
+        yield
+        spent[stage] += time.process_time() - start
 
-    def update() -> None:
-        shaken = boxes + rng.normal(0, 0.2, boxes.shape)
-        tracker.update(shaken, describe(frame, shaken))
-
-    for name, action in (
-        ("detect, shipped size", lambda: detector.detect([frame])),
-        ("OpenCV alone, 416 x 416", plain_416),
-        ("centres of mass", lambda: centres_of_mass(frame, boxes)),
-        ("describe and track", update),
-    ):
-        table.add_row(name, f"{milliseconds(action, repeat):.2f}")
+    with tempfile.TemporaryDirectory() as name, side_by_side(1):
+        folder = Path(name)
+        write_video(folder / "video.avi", frames + 1)
+        cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+        engine = choose_detector(Network(cfg, SHIPPED_WEIGHTS, SCORE, MAX_IOU)).engine
+        tracker, _ = make_tracker(TrackerName.droplet, Parameters())
+        recorder = Recorder(tracker.max_age)
+        source = Video(str(folder / "video.avi")).numbered()
+        engine.run(engine.prepare([next(source)[1]]))  # the first is slower
+        with TrajectoryWriter(folder / "trajectories.csv", {}, FURTHER_COLUMNS) as rows:
+            results = Results(rows)
+            for _ in range(frames):
+                with measure("decode"):
+                    index, frame = next(source)
+                with measure("prepare"):
+                    prepared = engine.prepare([frame])
+                with measure("network"):
+                    outputs = engine.run(prepared)
+                with measure("decode boxes"):
+                    (chosen,) = engine.rows(outputs)
+                    found = select(chosen, frame.shape[1], frame.shape[0], SCORE, MAX_IOU)
+                with measure("track"):
+                    update = tracker.update(found.boxes, describe_nothing(frame, found.boxes))
+                with measure("centres of mass"):
+                    centres, measured = centres_of_mass(frame, found.boxes)
+                with measure("write"):
+                    recorder.add(index, found, centres, measured, update)
+                    results.take(recorder.take_final(index - tracker.delay))
+    title = f"1200 x 600 px, {DROPLETS} droplets, {engine.name}"
+    table = Table("stage", "ms a frame", "%", title=title)
+    for stage, seconds in spent.items():
+        share = 100 * seconds / sum(spent.values())
+        table.add_row(stage, f"{1e3 * seconds / frames:.2f}", f"{share:.0f}")
     console.print(table)
 
 

@@ -55,10 +55,10 @@ train-droplets: dev
 
 # what int8 needs, again after every training
 calibrate: dev
-	$(BIN)/python -m data_gen.make_dataset --scene all --images 200 --valid 600 --seed 7 \
+	$(BIN)/python -m data_gen.make_dataset --scene all --images 200 --valid 300 --seed 7 \
 		--out datasets/calibration
 	$(BIN)/python -m droptrack.calibrate --data datasets/calibration/obj.data \
-		--images 200 --checked 600 $(ARGS)
+		--images 200 --checked 300 $(ARGS)
 
 bench: dev
 	$(BIN)/python -m bench

@@ -30,7 +30,7 @@ Bools = NDArray[np.bool_]
 STEP = 16  # channels that are left are a multiple, as processors like it
 RIDGE = 1e-6  # of the mean variance, added to each: channels that say the same leave it undecided
 # what a head reads may err by less than what is read by layers between: docs/performance.md
-BETWEEN = 20.0
+BETWEEN = 15.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ def choose(
         second, kernel = moments[reader].second, kernels[reader].astype(np.float64)
         metric = np.einsum("octu,odtu->cd", kernel, kernel, optimize=True)
         allowed = float((metric * second).sum()) * error
-        if kinds[reader + 1] != "yolo":
+        if kinds[reader + 1 :][:1] != ["yolo"]:
             allowed *= BETWEEN
         start = 0
         for source in sources:
@@ -240,7 +240,7 @@ def pruned(cfg: Cfg, weights: Weights, pruning: Pruning) -> tuple[Cfg, Weights]:
     parts: list[Float32s] = []
     for convolution, vectors, flat in layer_values(cfg, weights):
         layer = convolution.layer
-        parameters, kernel = vectors, flat.reshape(*flat.shape[:1], convolution.inputs, -1)
+        parameters, kernel = vectors, flat.reshape(convolution.outputs, convolution.inputs, -1)
         if stand_in := pruning.stand_ins.get(layer):
             kept = _kept_inputs(cfg, pruning.kept, sources[layer])
             left_out = kernel[:, ~kept]

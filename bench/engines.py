@@ -191,10 +191,10 @@ ENGINES = (
 def cases_of(name: str, cfg: Cfg, weights: Path, n_frames: int) -> list[Case]:
     """A network on every engine that is here."""
     found = [detector(cfg, weights, *engine) for engine in ENGINES]
+    by_name = {made.engine.name: made for made in found if made is not None}
     return [
-        Case(f"{name} {cfg.width} x {cfg.height}, {made.engine.name}", cfg, weights, n_frames, made)
-        for made in found
-        if made is not None
+        Case(f"{name} {cfg.width} x {cfg.height}, {engine}", cfg, weights, n_frames, made)
+        for engine, made in by_name.items()
     ]
 
 

@@ -30,6 +30,7 @@ from data_gen.make_dataset import JPEG_QUALITY
 from data_gen.scenes import SCENES
 from droptrack import DroptrackError
 from droptrack.appearance import describe_nothing
+from droptrack.calibrate import photographed
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.darknet_files import (
     Cfg,
@@ -64,6 +65,7 @@ from droptrack.video import Frame, Video, VideoInfo, VideoWriter, grey_frame
 SIZE = (1200, 600)
 DROPLETS = 50
 SCORE, MAX_IOU = 0.4, 0.3
+SIZES = "832x416,896x448,960x480,1024x512,1216x608"  # of the tiny network
 
 app = new_app()
 console = Console(width=140)
@@ -249,34 +251,30 @@ def cfg_416(cfg: Cfg, folder: Path) -> Cfg:
 @app.command()
 @one_line_errors
 def network(
-    sizes: Annotated[str, typer.Option(help="Inputs, with commas.")] = "832x416,896x448,960x480",
+    sizes: Annotated[str, typer.Option(help="Inputs, with commas.")] = SIZES,
     repeat: Annotated[int, typer.Option(min=1)] = 9,
 ) -> None:
     """Processor time of the networks alone, ms of all cores a grey picture, and their ratios.
 
-    In turns, the plain loop's network first. int8 has the ranges of the shipped size at all sizes.
+    In turns, the plain loop's network first; int8 at the sizes for which it is calibrated.
     """
     with tempfile.TemporaryDirectory() as name:
         shipped = read_cfg(find_cfg(SHIPPED_WEIGHTS))
         small = cfg_416(shipped, Path(name))
-        engines = {
-            "416x416 opencv fp32, plain loop": engine_of(small, SHIPPED_WEIGHTS, "fp32", None)
-        }
-        calibration = find_calibration(SHIPPED_WEIGHTS, shipped)
-        if calibration is None:
-            raise DroptrackError(f"{SHIPPED_WEIGHTS}: is not calibrated: make calibrate")
-        for size in sizes.split(","):
-            cfg = resized(shipped, *parse_size(size))
-            for precision in ("fp32", "bf16", "int8"):
-                engines[f"{size} openvino {precision}"] = engine_of(
-                    cfg, SHIPPED_WEIGHTS, precision, calibration
-                )
-        full, weights = random_full(Path(name))
-        ranges = find_calibration(weights, full)
-        for precision in ("fp32", "bf16", "int8"):
-            engines[f"full {full.width}x{full.height} openvino {precision}"] = engine_of(
-                full, weights, precision, ranges
+        engines: dict[str, Engine] = {
+            "416x416 opencv fp32, plain loop": OpenCvEngine(
+                small, read_weights(SHIPPED_WEIGHTS, small), "opencv", "fp32", SCORE
             )
+        }
+        networks = [
+            (resized(shipped, *parse_size(size)), SHIPPED_WEIGHTS) for size in sizes.split(",")
+        ]
+        for cfg, weights in [*networks, random_full(Path(name))]:
+            calibration = find_calibration(weights, cfg)
+            for precision in ("fp32", "bf16", "int8")[: 3 if calibration else 2]:
+                engines[f"{cfg.path.stem} {cfg.width}x{cfg.height} openvino {precision}"] = (
+                    engine_of(cfg, weights, precision, calibration)
+                )
         times: dict[str, list[float]] = {key: [] for key in engines}
         frame = grey_frame(SCENES["c"](np.random.default_rng(0)).image)
         for turn in range(repeat + 1):
@@ -295,13 +293,11 @@ def network(
 
 
 def engine_of(cfg: Cfg, weights: Path, precision: str, calibration: Calibration | None) -> Engine:
-    """OpenCV without a calibration, OpenVINO with one."""
-    values = read_weights(weights, cfg)
-    if calibration is None:
-        return OpenCvEngine(cfg, values, "opencv", precision, SCORE)
+    """OpenVINO, in int8 as calibrated."""
     from droptrack.engines.openvino import OpenVinoEngine
 
-    if precision != "int8":
+    values = read_weights(weights, cfg)
+    if precision != "int8" or calibration is None:
         return OpenVinoEngine(cfg, values, precision, SCORE, None, streams=2)
     smaller = pruned(cfg, values, calibration.pruning)
     return OpenVinoEngine(*smaller, precision, SCORE, calibration.ranges, streams=2)
@@ -310,9 +306,12 @@ def engine_of(cfg: Cfg, weights: Path, precision: str, calibration: Calibration 
 @app.command()
 @one_line_errors
 def accuracy(
-    sizes: Annotated[str, typer.Option(help="Inputs, with commas.")] = "832x416,896x448,960x480",
+    sizes: Annotated[str, typer.Option(help="Inputs, with commas.")] = SIZES,
     images: Annotated[int, typer.Option(min=1, help="Of each scene.")] = 200,
     scenes: Annotated[str, typer.Option()] = "cd",
+    spoilt: Annotated[
+        bool, typer.Option("--spoilt", help="Pictures as a bad camera shows them.")
+    ] = False,
 ) -> None:
     """MAP@0.50 of the network that ships by input size, precision and scene."""
     table = Table("input", "precision", *(f"scene {scene}" for scene in scenes))
@@ -325,12 +324,12 @@ def accuracy(
             except DroptrackError as error:
                 console.print(f"left out: {error}")
                 continue
-            found = [f"{mean_precision(engine, scene, images):.4f}" for scene in scenes]
+            found = [f"{mean_precision(engine, s, images, spoilt=spoilt):.4f}" for s in scenes]
             table.add_row(size, precision, *found)
     console.print(table)
 
 
-def mean_precision(engine: Detector, scene: str, images: int) -> float:
+def mean_precision(engine: Detector, scene: str, images: int, *, spoilt: bool) -> float:
     """On pictures that are in no data set, through JPEG as those are."""
 
     def pairs() -> Iterator[tuple[Detections, Detections]]:
@@ -338,6 +337,8 @@ def mean_precision(engine: Detector, scene: str, images: int) -> float:
             drawn = SCENES[scene](np.random.default_rng([2026, 2, index]))
             jpeg = cv2.imencode(".jpg", drawn.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
             frame = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
+            if spoilt:
+                frame = photographed(frame, np.random.default_rng([2026, 3, index]))
             yield engine.detect([frame])[0], labels(drawn.boxes)
 
     return average_precision(pairs()).average_precision

@@ -210,7 +210,7 @@ def random_full(folder: Path) -> tuple[Cfg, Path]:
     write_weights(path, weights)
     pictures = [np.random.default_rng(1).integers(0, 256, (224, 416, 3)).astype(np.uint8)]
     ranges = joined(cfg, output_ranges(cfg, weights, quantised_layers(cfg), pictures))
-    made = Calibration(sha256_of(path), 416, 224, ranges, 1, 0, 0.0, 0.0, NOTHING)
+    made = Calibration(sha256_of(path), 416, 224, ranges, 1, 0, (0, 0), (0, 0), NOTHING)
     write_calibration(path, cfg, made)
     return cfg, path
 

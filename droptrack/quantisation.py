@@ -34,14 +34,15 @@ class Calibration:
     ranges: dict[int, Range]
     n_calibrated: int  # pictures that the ranges come from
     n_checked: int  # pictures that the mAPs come from
-    map_fp32: float  # of all channels
-    map_int8: float
+    map_fp32: tuple[float, float]  # of all channels, on pictures as they are and as a bad camera
+    map_int8: tuple[float, float]  # shows them
     pruning: Pruning  # which channels the 8-bit network has
 
     @property
-    def loss(self) -> float:
-        """How much mAP int8 costs."""
-        return self.map_fp32 - self.map_int8
+    def losses(self) -> tuple[float, float]:
+        """How much mAP int8 costs, on pictures as they are and as a bad camera shows them."""
+        (drawn, spoilt), (drawn_int8, spoilt_int8) = self.map_fp32, self.map_int8
+        return drawn - drawn_int8, spoilt - spoilt_int8
 
 
 def sha256_of(path: Path) -> str:
@@ -117,13 +118,13 @@ def find_calibration(weights: Path, cfg: Cfg) -> Calibration | None:
 def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path:
     """Keep a calibration beside the weights, or in the user's cache where that is not writable.
 
-    Returns the file. Raises DroptrackError if int8 costs more than MAX_LOSS, or where nothing is
-    writable.
+    Returns the file. Raises DroptrackError if int8 costs more than MAX_LOSS on pictures as they
+    are, or where nothing is writable.
     """
-    if not calibration.loss <= MAX_LOSS:
+    if not calibration.losses[0] <= MAX_LOSS:
         raise DroptrackError(
-            f"{weights}: int8 is refused: mAP falls from {calibration.map_fp32:.4f} to "
-            f"{calibration.map_int8:.4f} on {calibration.n_checked} pictures, by more than "
+            f"{weights}: int8 is refused: mAP falls from {calibration.map_fp32[0]:.4f} to "
+            f"{calibration.map_int8[0]:.4f} on {calibration.n_checked} pictures, by more than "
             f"{MAX_LOSS}; use bf16, or calibrate on more pictures"
         )
     arrays = _to_arrays(calibration)
@@ -162,7 +163,8 @@ def _from_arrays(arrays: dict[str, Any]) -> Calibration:
         {i: arrays[f"kept_{i}"] for i in layers("kept_")},
         {i: StandIn(arrays[f"mix_{i}"], arrays[f"offset_{i}"]) for i in layers("mix_")},
     )
-    return Calibration(**{**about, "ranges": ranges, "pruning": pruning})
+    maps = {key: tuple(about[key]) for key in ("map_fp32", "map_int8")}
+    return Calibration(**{**about, **maps, "ranges": ranges, "pruning": pruning})
 
 
 def _places(weights: Path, cfg: Cfg, digest: str) -> tuple[Path, Path]:

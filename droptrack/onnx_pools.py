@@ -1,7 +1,7 @@
 """A convolution and the 2 x 2 pool after it in bytes, in forms that OpenVINO computes faster.
 
-OpenVINO's 8-bit pool costs the same for 16 channels as for 256, so that the first pools of a
-network cost more than the convolutions before them. Here maxima are taken of whole maps, and of
+OpenVINO's 8-bit pool costs nearly the same for 16 channels as for 64, so that the first pool of a
+network costs more than the convolution before it. Here maxima are taken of whole maps, and of
 pixels with very many channels. The results are the same to the last bit.
 
 What OpenVINO makes of a graph hangs on details: each convolution needs constants of its own to take

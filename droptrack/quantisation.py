@@ -1,8 +1,8 @@
 """Post-training quantisation: the range of every layer's output, measured, checked and kept.
 
 A calibration is a small file beside the weights, valid for these weights (their sha256) at one
-input size. It holds what turns the weights into an 8-bit network, pruned before (`pruning`), and
-what that cost in mAP.
+input size. It holds how the network is pruned (`pruning`), for 8 bits and for whatever a CPU
+computes in by `--precision auto`, the ranges, and what both cost in mAP.
 """
 
 import hashlib
@@ -34,9 +34,9 @@ class Calibration:
     ranges: dict[int, Range]
     n_calibrated: int  # pictures that the ranges come from
     n_checked: int  # pictures that the mAPs come from
-    map_fp32: tuple[float, float]  # of all channels, on pictures as they are and as a bad camera
-    map_int8: tuple[float, float]  # shows them
-    pruning: Pruning  # which channels the 8-bit network has
+    map_fp32: tuple[float, float]  # of all channels: on pictures as they are, and spoilt
+    map_int8: tuple[float, float]
+    pruning: Pruning
 
     @property
     def losses(self) -> tuple[float, float]:

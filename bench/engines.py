@@ -30,7 +30,6 @@ from data_gen.make_dataset import JPEG_QUALITY
 from data_gen.scenes import SCENES
 from droptrack import DroptrackError
 from droptrack.appearance import describe_nothing
-from droptrack.calibrate import photographed
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.darknet_files import (
     Cfg,
@@ -45,6 +44,7 @@ from droptrack.detections import Detections, labels
 from droptrack.detector import Detector, Engine
 from droptrack.engine_choice import Backend, Network, Precision, choose_detector
 from droptrack.engines.opencv_dnn import OpenCvEngine
+from droptrack.flaws import photographed
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg, parse_size
 from droptrack.pipeline import FURTHER_COLUMNS, Results, follow

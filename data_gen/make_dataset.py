@@ -19,6 +19,7 @@ from data_gen.scenes import HEIGHT, SCENES, WIDTH
 from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
 from droptrack.dataset import image_name, label_text, write_data_file, write_scenes
+from droptrack.flaws import photographed
 
 JPEG_QUALITY = 95
 
@@ -46,6 +47,7 @@ class Recipe:
     images: int
     valid: int
     seed: int
+    spoilt: float = 0.0  # share of the pictures that are shown as by a bad camera
     jpeg_quality: int = JPEG_QUALITY
     format: int = 1  # to be raised when the same seed gives other pictures
 
@@ -64,7 +66,9 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     scene = SCENES[kinds[index % len(kinds)]](rng)
     path = folder / image_name(split, index)
     quality = [cv2.IMWRITE_JPEG_QUALITY, recipe.jpeg_quality]
-    path.write_bytes(cv2.imencode(".jpg", scene.image, quality)[1].tobytes())
+    spoilt = rng.random() < recipe.spoilt
+    image = photographed(scene.image, rng) if spoilt else scene.image
+    path.write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
     partial = path.with_suffix(".partial")
     partial.write_text(label_text(scene.boxes, WIDTH, HEIGHT), encoding="ascii")
     os.replace(partial, path.with_suffix(".txt"))
@@ -137,16 +141,15 @@ def _write_chunk(job: tuple[Path, Recipe, list[tuple[str, int]]]) -> int:
 
 def _claim(folder: Path, recipe: Recipe) -> None:
     manifest = folder / "dataset.json"
-    wanted = asdict(recipe)
     if manifest.exists():
         try:
-            found = json.loads(manifest.read_text(encoding="utf-8"))
-        except ValueError:
+            found = Recipe(**json.loads(manifest.read_text(encoding="utf-8")))
+        except (ValueError, TypeError):
             raise DroptrackError(
                 f"{manifest}: is damaged; delete {folder} or choose another"
             ) from None
-        if found != wanted:
-            differing = [key for key in wanted if found.get(key) != wanted[key]]
+        if found != recipe:
+            differing = [key for key, value in vars(recipe).items() if vars(found)[key] != value]
             raise DroptrackError(
                 f"{folder}: holds a data set of other {', '.join(differing)}; "
                 "choose another folder with --out, or delete this one"
@@ -155,7 +158,7 @@ def _claim(folder: Path, recipe: Recipe) -> None:
         raise DroptrackError(f"{folder}: is not empty and no data set; choose another with --out")
     else:
         folder.mkdir(parents=True, exist_ok=True)
-        manifest.write_text(json.dumps(wanted, indent=1) + "\n", encoding="utf-8")
+        manifest.write_text(json.dumps(asdict(recipe), indent=1) + "\n", encoding="utf-8")
 
 
 app = new_app()
@@ -169,10 +172,13 @@ def main(
     images: Annotated[int, typer.Option(min=1, help="Number of training images.")] = 10_000,
     valid: Annotated[int, typer.Option(min=0, help="Number of validation images.")] = 1_000,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
+    spoilt: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of pictures as a bad camera shows them.")
+    ] = 0.0,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one a core.")] = 0,
 ) -> None:
     """Make a Darknet data set of synthetic droplets; run again to go on after an interruption."""
-    recipe = Recipe(scene.value, images, valid, seed)
+    recipe = Recipe(scene.value, images, valid, seed, spoilt)
     with progress_bar("images") as progress:
         task = progress.add_task(str(out), total=images + valid, note="")
         try:

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 import typer
 
@@ -14,6 +13,7 @@ from droptrack.darknet_files import Cfg, Weights, read_cfg, read_weights, resize
 from droptrack.dataset import read_data_file, read_image, read_truth
 from droptrack.detections import Detections
 from droptrack.detector import Detector, Engine
+from droptrack.flaws import photographed
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
 from droptrack.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
@@ -115,20 +115,6 @@ def frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
             frame = read_image(path)
             yield frame
             yield photographed(frame, rng)
-
-
-def photographed(frame: Frame, rng: np.random.Generator) -> Frame:
-    """A frame out of focus, unevenly lit, of little contrast, and noisy, all by chance.
-
-    Pictures that are drawn are all alike in this; videos are not.
-    """
-    blurred = cv2.GaussianBlur(frame, (0, 0), rng.uniform(0.1, 3))
-    left, right = rng.uniform(0.4, 1, 2)
-    light = np.linspace(left, right, frame.shape[1])[:, None]
-    contrast = rng.uniform(0.3, 1)
-    grain = rng.normal(0, rng.uniform(0, 15), (*frame.shape[:2], 1))
-    lit = blurred * light * contrast + rng.uniform(0, 255 * (1 - contrast)) + grain
-    return np.clip(lit, 0, 255).astype(np.uint8)
 
 
 def prunings(

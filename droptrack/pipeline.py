@@ -89,26 +89,42 @@ class Results:
 
 
 class Follower:
-    """Tracks the detections of one frame after the other into `results`."""
+    """Tracks the detections of one frame after the other into `results`.
 
-    def __init__(self, tracker: Tracker, describe: Describe, results: Results) -> None:
+    Where a number is left out, the droplets moved on in a frame that could not be decoded; in a
+    live source the next frame that is looked at comes next.
+    """
+
+    def __init__(
+        self, tracker: Tracker, describe: Describe, results: Results, *, live: bool = False
+    ) -> None:
         self._tracker, self._describe, self._results = tracker, describe, results
         self._recorder = Recorder(tracker.max_age)
+        self._live = live
+        self._next: int | None = None
 
     def add(self, item: NumberedFrame, detections: Detections) -> None:
         """Take the next frame's detections."""
         results, tracker = self._results, self._tracker
         index, frame, decoded = item
+        lost = range(index if self._live or self._next is None else self._next, index)
+        self._next = index + 1
         with results.times.measure("track"):
-            update = tracker.update(detections.boxes, self._describe(frame, detections.boxes))
-            centres, measured = centres_of_mass(frame, detections.boxes)
-            self._recorder.add(index, detections, centres, measured, update)
+            for number in lost:
+                self._track(number, frame, detections[:0])
+            results.n_measured += self._track(index, frame, detections)
         results.n_frames += 1
         results.n_detections += len(detections)
-        results.n_measured += int(measured.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, self._recorder, tracker.delay)
         results.take(self._recorder.take_final(index - tracker.delay))
+
+    def _track(self, index: int, frame: Frame, detections: Detections) -> int:
+        """Track and record; returns for how many droplets a centre of mass was measured."""
+        update = self._tracker.update(detections.boxes, self._describe(frame, detections.boxes))
+        centres, measured = centres_of_mass(frame, detections.boxes)
+        self._recorder.add(index, detections, centres, measured, update)
+        return int(measured.sum())
 
     def finish(self) -> None:
         """Write what was held back."""
@@ -133,7 +149,7 @@ def follow(
     in between are dropped, so that a frame is never older than two take. Otherwise every frame is
     tracked, `batch` at once through the network.
     """
-    follower = Follower(tracker, describe, results)
+    follower = Follower(tracker, describe, results, live=live)
     running: deque[tuple[list[NumberedFrame], Future[list[Detections]]]] = deque()
     engine = detector.engine
     most = 0 if live else 2 * engine.parallel  # so that networks wait for nobody

@@ -79,6 +79,22 @@ def test_frames_keep_their_order_however_long_their_networks_take(
     assert results.times.seconds["network"] > 0
 
 
+def test_droplets_move_on_in_frames_that_could_not_be_decoded(tmp_path: Path) -> None:
+    class FastEngine(GreyLevelEngine):
+        def rows(self, outputs: list[int]) -> list[Float32s]:
+            """A droplet of 0.1 of the width that moves by half of that in a frame."""
+            return [np.array([[0.05 * t, 0.5, 0.1, 0.2, 1, 0.9]], np.float32) for t in outputs]
+
+    damaged = {10, 14, 15}
+    source = ((t, frame) for t, frame in frames(20, []) if t not in damaged)
+    rows, results = track(FastEngine(1), source, tmp_path / "t.csv")
+    assert results.n_frames == 17
+    assert np.unique(rows.track_id).tolist() == [1]
+    assert rows.frame.tolist() == list(range(20))
+    assert set(rows.frame[~rows.observed].tolist()) == damaged
+    np.testing.assert_allclose(rows.boxes[:, 0], 0.05 * 96 * np.arange(20), atol=1e-3)
+
+
 def test_decoding_waits_for_those_that_use_the_frames() -> None:
     made: list[int] = []
     with FrameReader(frames(50, made), StageTimes()) as reader:

@@ -10,9 +10,11 @@ from droptrack import DroptrackError
 from droptrack.video import Video, VideoInfo, VideoWriter, as_frame, grey_plane
 
 
-def write_video(path: Path, n: int = 12, size: tuple[int, int] = (64, 48)) -> None:
+def write_video(
+    path: Path, n: int = 12, size: tuple[int, int] = (64, 48), fourcc: str = "MJPG"
+) -> None:
     """Frame number t is grey level 10 t."""
-    with VideoWriter(path, VideoInfo(*size, 12, n), "MJPG") as video:
+    with VideoWriter(path, VideoInfo(*size, 12, n), fourcc) as video:
         for t in range(n):
             video.write(np.full((size[1], size[0], 3), 10 * t, np.uint8))
 
@@ -114,6 +116,54 @@ def test_what_is_damaged_in_the_middle_of_a_video_is_skipped(tmp_path: Path) -> 
     assert 15 <= len(levels) < video.info.n_frames == 20
     assert levels == sorted(set(levels))
     assert levels[-1] == 19
+
+
+def break_frames(path: Path, frames: set[int]) -> None:
+    """Overwrite frames of an AVI file with zeros."""
+    data = bytearray(path.read_bytes())
+    start = data.index(b"movi") + 4
+    index = 0
+    while data[start : start + 4] == b"00dc":
+        length = int.from_bytes(data[start + 4 : start + 8], "little")
+        if index in frames:
+            data[start + 8 : start + 8 + length] = bytes(length)
+        start += 8 + length + length % 2
+        index += 1
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("fourcc", ["MJPG", "mp4v"])
+def test_frames_keep_their_numbers_beside_damaged_ones(tmp_path: Path, fourcc: str) -> None:
+    path = tmp_path / "v.avi"
+    write_video(path, n=20, fourcc=fourcc)
+    break_frames(path, {5, 6, 12, 19})
+    video = Video(str(path))
+    assert video.info.n_frames == 20
+    found = {number: round(int(frame[5, 5, 0]) / 10) for number, frame in video.numbered()}
+    assert found == {t: t for t in range(19) if t not in {5, 6, 12}}
+
+
+def test_a_file_whose_first_frame_is_damaged_is_read_from_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "v.avi"
+    write_video(path)
+    break_frames(path, {0, 1, 7})
+    levels = [round(int(frame[5, 5, 0]) / 10) for frame in Video(str(path))]
+    assert levels == [2, 3, 4, 5, 6, 8, 9, 10, 11]
+
+
+def test_motion_jpeg_is_decoded_as_ffmpeg_does(tmp_path: Path) -> None:
+    path = tmp_path / "v.avi"
+    rng = np.random.default_rng(3)
+    with VideoWriter(path, VideoInfo(65, 47, 25, 6), "MJPG", quality=80) as writer:
+        for t in range(6):
+            coarse = rng.integers(0, 255, (6, 8, 3 if t > 2 else 1)).astype(np.uint8)
+            writer.write(as_frame(cv2.resize(coarse, (65, 47), interpolation=cv2.INTER_CUBIC)))
+    capture = cv2.VideoCapture(str(path))
+    for frame in Video(str(path)):
+        ok, expected = capture.read()
+        assert ok
+        luma, expected_luma = (cv2.cvtColor(x, cv2.COLOR_BGR2GRAY) for x in (frame, expected))
+        assert cv2.absdiff(luma, expected_luma).mean() < 1
 
 
 def test_grey_videos_stay_grey_until_a_colour_comes(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
 from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes import SCENES
 from droptrack.appearance import describe_nothing
-from droptrack.centroid import centres_of_mass
+from droptrack.centroid import centres_of_mass, compiled
 from droptrack.command_line import new_app, progress_bar
 from droptrack.darknet_files import read_cfg
 from droptrack.deepsort import Parameters
@@ -79,6 +79,7 @@ def stages(frames: int = 150) -> None:
         recorder = Recorder(tracker.max_age)
         source = Video(str(folder / "video.avi")).numbered()
         engine.run(engine.prepare([next(source)[1]]))  # the first is slower
+        compiled()
         with TrajectoryWriter(folder / "trajectories.csv", {}, FURTHER_COLUMNS) as rows:
             results = Results(rows)
             for _ in range(frames):

@@ -17,4 +17,4 @@ def photographed(picture: NDArray[np.uint8], rng: np.random.Generator) -> NDArra
     grain = rng.normal(0, rng.uniform(0, 15), (*picture.shape[:2], 1))
     lit = blurred.reshape(*picture.shape[:2], -1) * light * contrast
     lit += rng.uniform(0, 255 * (1 - contrast)) + grain
-    return np.clip(lit, 0, 255).astype(np.uint8).reshape(picture.shape)
+    return np.asarray(np.clip(lit, 0, 255), np.uint8).reshape(picture.shape)

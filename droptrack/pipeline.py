@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.centroid import centres_of_mass
+from droptrack.centroid import centres_of_mass, compiled
 from droptrack.detections import Detections
 from droptrack.detector import Detector
 from droptrack.paths import Paths
@@ -100,6 +100,7 @@ class Follower:
     ) -> None:
         self._tracker, self._describe, self._results = tracker, describe, results
         self._recorder = Recorder(tracker.max_age)
+        compiled()  # now, not while the first frame waits
         self._live = live
         self._next: int | None = None
 

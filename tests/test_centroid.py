@@ -7,9 +7,21 @@ from numpy.typing import NDArray
 
 from data_gen.droplets import BLACK, WHITE, draw_contour, draw_ellipses, ellipse_boxes
 from data_gen.scenes import SCENES
+from droptrack import centroid
 from droptrack.centroid import centres_of_mass
+from droptrack.flaws import photographed
 
 Floats = NDArray[np.float64]
+
+
+@pytest.fixture(params=["arrays", "compiled"], autouse=True)
+def implementation(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every test on both."""
+    if request.param == "arrays":
+        monkeypatch.setattr(centroid, "compiled", lambda: None)
+    else:
+        pytest.importorskip("numba")
+        assert centroid.compiled() is not None
 
 
 def frame_of(canvas: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -127,6 +139,36 @@ def test_where_no_droplet_stands_out_the_box_centre_is_given(box: list[float]) -
     centres, measured = centres_of_mass(frame, np.array([box]))
     assert not measured.any()
     assert centres.tolist() == [box[:2]]
+
+
+def test_beyond_the_frame_there_is_no_surrounding() -> None:
+    """A dark droplet on bright ground, three pixels from the frame's edge."""
+    disc = np.array([[15.2, 59.7, 12.0, 12.0, 0.0]])
+    canvas = np.full((120, 120), 200, np.uint8)
+    draw_ellipses(canvas, disc, 100)
+    centres, measured = centres_of_mass(frame_of(canvas), ellipse_boxes(disc))
+    assert measured.all()
+    np.testing.assert_allclose(centres, disc[:, :2], atol=0.02)
+
+
+@pytest.mark.parametrize("kind", ["a", "b", "c", "d"])
+def test_compiled_loops_do_the_same_as_arrays_to_the_last_bit(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    n = 0
+    for seed in range(12):
+        rng = np.random.default_rng([7, seed])
+        scene = SCENES[kind](rng)
+        image = [scene.image, 255 - scene.image, photographed(scene.image, rng)][seed % 3]
+        boxes = shaken(rng, scene.boxes) * [1, 1, *rng.choice([0.8, 1, 1.2], 2)]
+        centres, measured = centres_of_mass(frame_of(image), boxes)
+        with monkeypatch.context() as arrays:
+            arrays.setattr(centroid, "compiled", lambda: None)
+            expected, expected_measured = centres_of_mass(frame_of(image), boxes)
+        assert (centres == expected).all()
+        assert (measured == expected_measured).all()
+        n += int(measured.sum())
+    assert n > 12
 
 
 def test_no_boxes_give_no_centres() -> None:

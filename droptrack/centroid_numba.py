@@ -1,0 +1,342 @@
+"""Centres of mass droplet by droplet, compiled: what centroid.py says of arrays, in loops.
+
+The results are the same to the last bit.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit, types
+from numpy.typing import NDArray
+
+from droptrack.centroid import AROUND, CORE, INSIDE, LEAST_CONTRAST, MIDDLE
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Pixels = NDArray[np.uint8]
+
+# what a pixel of a crop is; numbers from FIRST_REGION on are regions
+BARE = 0
+DONE = 1  # bare and counted already, or beyond the crop
+COVERED = 2
+FOREIGN = 3  # covered, but nearer to a neighbouring box
+FIRST_REGION = 4
+CORE_REACH = CORE.max()
+FAST: dict[str, Any] = {"error_model": "numpy", "cache": True, "nogil": True}
+# what `measure` takes; frames may be read-only
+_ROWS, _TABLE, _FLOATS = types.int64[::1], types.int64[:, ::1], types.float64[:, ::1]
+SIGNATURE = types.void(
+    types.Array(types.uint8, 2, "C", readonly=True),
+    _FLOATS,
+    _ROWS,
+    _TABLE,
+    _TABLE,
+    _TABLE,
+    _FLOATS,
+    _FLOATS,
+    types.boolean[::1],
+)
+
+
+class Crop(NamedTuple):
+    """A crop of the frame with a rim of one pixel, and the grey levels of the droplet in it."""
+
+    grey: Pixels  # the frame
+    state: Pixels  # line after line
+    x: int  # the first column and line of the frame, rim included
+    y: int
+    width: int
+    height: int
+    background: int
+    contrast: int  # below 0 where the droplet is dark
+
+
+@njit(**FAST)
+def _histogram(grey: Pixels, box: Floats, places: Floats, counts: Rows) -> int:
+    """Count the grey levels (256,) at places of a box; returns how many are in the frame."""
+    height, width = grey.shape
+    counts[:] = 0
+    n = 0
+    for place in places:
+        x = int(np.floor(box[0] + box[2] / 2 * place[0]))
+        y = int(np.floor(box[1] + box[3] / 2 * place[1]))
+        if 0 <= x < width and 0 <= y < height:
+            counts[grey[y, x]] += 1
+            n += 1
+    return n
+
+
+@njit(**FAST)
+def _quantile(counts: Rows, start: int, n: int, share: float) -> float:
+    """A quantile, interpolated, of the values start to start + n - 1 in order of a histogram."""
+    place = share * (n - 1)
+    first, second = start + int(np.floor(place)), start + int(np.ceil(place))
+    below, level = -1, -1
+    seen = 0
+    while seen <= second:
+        level += 1
+        seen += counts[level]
+        if below < 0 and seen > first:
+            below = level
+    return float(below + (place - np.floor(place)) * (level - below))
+
+
+@njit(**FAST)
+def _levels(grey: Pixels, box: Floats, counts: Rows) -> tuple[int, int]:
+    """Grey level around a droplet and the droplet's above it, 0 where that is unclear."""
+    n_inside = _histogram(grey, box, INSIDE, counts)
+    if n_inside == 0:
+        return 0, 0
+    level = _quantile(counts, 0, n_inside, 0.5)
+    n_around = _histogram(grey, box, AROUND, counts)
+    if n_around == 0:
+        return 0, 0
+    darkest = _quantile(counts, 0, n_around, 0.1)
+    brightest = _quantile(counts, 0, n_around, 0.9)
+    bright = level - darkest >= brightest - level
+    half = (level + (darkest if bright else brightest)) / 2
+    start, n_beyond = 0, 0
+    for value in range(256):
+        if bright:
+            n_beyond += counts[value] if value < half else 0
+        else:
+            start += counts[value] if value <= half else 0
+    if not bright:
+        n_beyond = n_around - start
+    if n_beyond == 0:
+        return 0, 0
+    background = int(np.rint(_quantile(counts, start, n_beyond, 0.5)))
+    contrast = int(np.rint(level)) - background
+    return background, contrast if abs(contrast) >= LEAST_CONTRAST else 0
+
+
+@njit(**FAST)
+def _cover(crop: Crop) -> None:
+    """Mark the pixels that lie beyond half the contrast."""
+    crop.state[: crop.width * crop.height] = DONE
+    half = abs(crop.contrast) // 2
+    limit = np.uint8(crop.background + (half if crop.contrast > 0 else -half))
+    for y in range(1, crop.height - 1):
+        line = crop.grey[crop.y + y, crop.x + 1 : crop.x + crop.width - 1]
+        state = crop.state[y * crop.width + 1 : (y + 1) * crop.width - 1]
+        if crop.contrast > 0:
+            for x in range(len(line)):
+                state[x] = COVERED if line[x] > limit else BARE
+        else:
+            for x in range(len(line)):
+                state[x] = COVERED if line[x] < limit else BARE
+
+
+@njit(**FAST)
+def _any(state: Pixels, value: int) -> bool:
+    """Whether a pixel has a value; looks at all of them, many at once."""
+    found = False
+    for at in range(len(state)):
+        found |= state[at] == value
+    return found
+
+
+@njit(**FAST)
+def _fill(crop: Crop, seed: int, number: int, runs: Rows, n: int, waiting: Rows) -> int:
+    """Give the connected COVERED pixels around a seed a number.
+
+    Appends them to the n `runs`, pieces of lines from a pixel to that before another; returns how
+    many there are then.
+    """
+    state = crop.state
+    waiting[0] = seed
+    n_waiting = 1
+    while n_waiting:
+        n_waiting -= 1
+        first = last = waiting[n_waiting]
+        if state[first] != COVERED:
+            continue
+        while state[first - 1] == COVERED:
+            first -= 1
+        while state[last + 1] == COVERED:
+            last += 1
+        state[first : last + 1] = number
+        runs[n, 0], runs[n, 1] = first, last + 1
+        n += 1
+        for start in (first - crop.width, first + crop.width):
+            line = state[start : start + last - first + 1]
+            if _any(line, COVERED):
+                for x in range(len(line)):
+                    if line[x] == COVERED and (x == 0 or line[x - 1] != COVERED):
+                        waiting[n_waiting] = start + x
+                        n_waiting += 1
+    return n
+
+
+@njit(**FAST)
+def _pixel(crop: Crop, box: Floats, place: Floats) -> int:
+    """The crop's pixel at a place of a box; that of the rim's corner for those beyond."""
+    x = int(np.floor(box[0] + place[0] * box[2] / 2)) - crop.x
+    y = int(np.floor(box[1] + place[1] * box[3] / 2)) - crop.y
+    return y * crop.width + x if 0 <= x < crop.width and 0 <= y < crop.height else 0
+
+
+@njit(**FAST)
+def _region(crop: Crop, box: Floats, runs: Rows, waiting: Rows) -> tuple[int, int, int]:
+    """The connected region of COVERED pixels that fills most of the middle of a box.
+
+    Returns its number, and where its runs begin and end. Numbers the regions that it looks at.
+    """
+    ends = np.zeros(len(MIDDLE) + 1, np.int64)
+    counts = np.zeros(len(MIDDLE), np.int64)
+    n_regions = 0
+    for place in MIDDLE:
+        at = _pixel(crop, box, place)
+        if crop.state[at] == COVERED:
+            number = FIRST_REGION + n_regions
+            ends[n_regions + 1] = _fill(crop, at, number, runs, ends[n_regions], waiting)
+            n_regions += 1
+        if crop.state[at] >= FIRST_REGION:
+            counts[crop.state[at] - FIRST_REGION] += 1
+    best = int(np.argmax(counts))
+    return FIRST_REGION + best, ends[best], ends[best + 1]
+
+
+@njit(**FAST)
+def _runs_into(crop: Crop, region: int, box: Floats) -> bool:
+    """Whether a region covers a place in the core of a neighbouring box."""
+    found = False
+    for place in CORE:
+        found |= crop.state[_pixel(crop, box, place)] == region
+    return found
+
+
+@njit(**FAST)
+def _nearer(crop: Crop, x: int, y: int, box: Floats, others: Floats) -> bool:
+    """Whether a pixel is nearer to its own box than to others, in units of their half sizes."""
+    own_x = (crop.x - box[0] + (x + 0.5)) * (2 / box[2])
+    own_y = (crop.y - box[1] + (y + 0.5)) * (2 / box[3])
+    for other in others:
+        other_x = (crop.x - other[0] + (x + 0.5)) * (2 / other[2])
+        other_y = (crop.y - other[1] + (y + 0.5)) * (2 / other[3])
+        if np.float32(own_x**2 - other_x**2) > np.float32(other_y**2 - own_y**2):
+            return False
+    return True
+
+
+@njit(**FAST)
+def _leave_to(crop: Crop, box: Floats, others: Floats) -> None:
+    """Mark the covered pixels that are nearer to other boxes."""
+    for y in range(1, crop.height - 1):
+        for x in range(1, crop.width - 1):
+            at = y * crop.width + x
+            if crop.state[at] != BARE:
+                own = _nearer(crop, x, y, box, others)
+                crop.state[at] = COVERED if own else FOREIGN
+
+
+@njit(**FAST)
+def _is_edge(crop: Crop, at: int, region: int) -> bool:
+    """Whether a BARE pixel at a region's side or corner is nearer to it than to other regions."""
+    state, up, down = crop.state, at - crop.width, at + crop.width
+    at_side, other_at_side, other_at_corner = False, False, False
+    for side in (up, at - 1, at + 1, down):
+        at_side |= state[side] == region
+        other_at_side |= state[side] >= COVERED and state[side] != region
+    for corner in (up - 1, up + 1, down - 1, down + 1):
+        other_at_corner |= state[corner] >= COVERED and state[corner] != region
+    return not other_at_side and (at_side or not other_at_corner)
+
+
+@njit(**FAST)
+def _moments(
+    crop: Crop, region: int, runs: Rows, box: Floats, others: Floats
+) -> tuple[int, int, int]:
+    """Sums of heights, and of heights times column and line, over a region's runs and its edge.
+
+    The edge is only where it is nearer to the box than to others.
+    """
+    sign, full = (1, crop.contrast) if crop.contrast > 0 else (-1, -crop.contrast)
+    total, moment_x, moment_y = 0, 0, 0
+    for run in runs:
+        y, first = divmod(run[0], crop.width)
+        n = run[1] - run[0]
+        levels = crop.grey[crop.y + y, crop.x + first : crop.x + first + n]
+        mass, moment = 0, 0
+        for x in range(n):
+            height = min(sign * (levels[x] - crop.background), full)
+            mass += height
+            moment += height * x
+        total += mass
+        moment_x += moment + mass * first
+        moment_y += mass * y
+        for edge_y in range(y - 1, y + 2):
+            start = edge_y * crop.width + first - 1
+            line = crop.state[start : start + n + 2]
+            if not _any(line, BARE):
+                continue
+            for i in range(n + 2):
+                if line[i] != BARE or not _is_edge(crop, start + i, region):
+                    continue
+                x = first - 1 + i
+                if not _nearer(crop, x, edge_y, box, others):
+                    continue
+                line[i] = DONE
+                height = max(0, sign * (crop.grey[crop.y + edge_y, crop.x + x] - crop.background))
+                total += height
+                moment_x += height * x
+                moment_y += height * edge_y
+    return total, moment_x, moment_y
+
+
+@njit(SIGNATURE, **FAST)  # compiled when it is imported, not at the first frame
+def measure(
+    grey: Pixels,
+    boxes: Floats,
+    rows: Rows,
+    low: Rows,
+    size: Rows,
+    neighbours: Rows,
+    reach: Floats,
+    centres: Floats,
+    measured: NDArray[np.bool_],
+) -> None:
+    """Put into `centres` (N, 2) and `measured` (N,) what is found in some rows of boxes (N, 4).
+
+    `low` and `size` (N, 2) are the crops' corner and size, px; `neighbours` (N, K) the other boxes
+    that may touch, -1 where there are fewer; `reach` (N, 2) how far the crops go from the middle.
+    """
+    most = 0
+    for row in rows:
+        most = max(most, (size[row, 0] + 2) * (size[row, 1] + 2))
+    state, waiting = np.empty(most, np.uint8), np.empty(most, np.int64)
+    runs = np.empty((most, 2), np.int64)
+    counts = np.empty(256, np.int64)
+    others = np.empty((neighbours.shape[1], 4))
+    for row in rows:
+        box = boxes[row]
+        background, contrast = _levels(grey, box, counts)
+        if contrast == 0:
+            continue
+        width, height = size[row, 0] + 2, size[row, 1] + 2
+        x, y = low[row, 0] - 1, low[row, 1] - 1
+        crop = Crop(grey, state, x, y, width, height, background, contrast)
+        _cover(crop)
+        region, start, end = _region(crop, box, runs, waiting)
+        n_others = 0
+        touching = False
+        for neighbour in neighbours[row]:
+            if neighbour >= 0:
+                other = boxes[neighbour]
+                others[n_others] = other
+                n_others += 1
+                near = (
+                    abs(other[0] - box[0]) <= reach[row, 0] + CORE_REACH * other[2] / 2
+                    and abs(other[1] - box[1]) <= reach[row, 1] + CORE_REACH * other[3] / 2
+                )
+                touching |= near and _runs_into(crop, region, other)
+        if touching:  # they end half way to it
+            _leave_to(crop, box, others[:n_others])
+            region, start, end = _region(crop, box, runs, waiting)
+        rivals = others[: n_others if touching else 0]
+        total, moment_x, moment_y = _moments(crop, region, runs[start:end], box, rivals)
+        if total > 0:
+            centre_x, centre_y = x + 0.5 + moment_x / total, y + 0.5 + moment_y / total
+            if abs(centre_x - box[0]) < box[2] / 2 and abs(centre_y - box[1]) < box[3] / 2:
+                centres[row, 0], centres[row, 1] = centre_x, centre_y
+                measured[row] = True

@@ -65,7 +65,7 @@ class Results:
 
     def _write(self, recorded: Recorded, smoothed: NDArray[np.float64]) -> None:
         rows = recorded.rows
-        extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured.astype(float), *smoothed.T)
+        extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *smoothed.T)
         self.rows.write(rows, extra)
         self.paths.add(rows)
 

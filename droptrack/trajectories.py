@@ -4,12 +4,11 @@ A file begins with ``# key: value`` lines that say what made it, then has the co
 ``frame,track_id,x,y,w,h,score,observed`` and possibly more. Frames count from 0, tracks from 1.
 """
 
-import csv
 import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,20 +95,27 @@ class TrajectoryWriter:
             raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
         for key, value in about.items():
             self._file.write(f"# {key}: {value}\n")
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._rows.writerow(COLUMNS + self._extra)
+        self._file.write(",".join(COLUMNS + self._extra) + "\n")
 
-    def write(self, rows: Trajectories, extra: Iterable[NDArray[np.float64]] = ()) -> None:
-        """Append rows, with one array (M,) for each further column."""
+    def write(self, rows: Trajectories, extra: Iterable[NDArray[Any]] = ()) -> None:
+        """Append rows, with one array (M,) of numbers for each further column.
+
+        Six decimals: a millionth of a pixel.
+        """
         columns = [
-            rows.frame.tolist(),
-            rows.track_id.tolist(),
-            *(_texts(column) for column in (rows.x, rows.y, rows.boxes[:, 2], rows.boxes[:, 3])),
-            _texts(rows.scores),
-            rows.observed.astype(int).tolist(),
-            *(_texts(column) for column in extra),
+            rows.frame,
+            rows.track_id,
+            rows.x,
+            rows.y,
+            *rows.boxes.T[2:],
+            rows.scores,
+            rows.observed,
+            *extra,
         ]
-        self._rows.writerows(zip(*columns, strict=True))
+        kinds = ["%.6f" if column.dtype.kind == "f" else "%d" for column in columns]
+        line = ",".join(kinds) + "\n"
+        values = zip(*(column.tolist() for column in columns), strict=True)
+        self._file.writelines([line % row for row in values])
         self._file.flush()
 
     def close(self) -> None:
@@ -175,8 +181,3 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     except ValueError as error:
         raise DroptrackError(f"{path}: {error}") from None
     return rows, about
-
-
-def _texts(values: NDArray[np.float64]) -> list[str]:
-    """Numbers with at most six decimals, a millionth of a pixel."""
-    return [f"{value:.6f}".rstrip("0").rstrip(".") for value in values.tolist()]

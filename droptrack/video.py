@@ -22,6 +22,7 @@ Frame = NDArray[np.uint8]
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"}
 DEFAULT_FPS = 25.0  # of sources that do not say
 GREY = 4  # levels that the colours of a grey frame may differ by, from a codec's rounding
+LOOK_FOR_COLOUR = 10  # in every so manyth frame of a Motion JPEG video
 MOST_DAMAGED = 10_000  # frames one after the other that cannot be decoded, before the end is
 STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
@@ -248,10 +249,13 @@ def _packets(path: Path) -> Iterator[NDArray[np.uint8]]:
 
 
 def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]]:
-    """The frames of JPEG pictures, grey until one has a colour that an eighth of its size shows."""
+    """The frames of JPEG pictures, grey until one has a colour that an eighth of its size shows.
+
+    Only some are looked at for that, since it takes as long as decoding them.
+    """
     maybe_grey = True
     for index, packet in enumerate(packets):
-        if maybe_grey:
+        if maybe_grey and index % LOOK_FOR_COLOUR == 0:
             small = cv2.imdecode(packet, cv2.IMREAD_REDUCED_COLOR_8)
             maybe_grey = small is None or _without_colour(as_frame(small)) is not None
         image = cv2.imdecode(packet, cv2.IMREAD_GRAYSCALE if maybe_grey else cv2.IMREAD_COLOR)

@@ -74,11 +74,13 @@ def stages(frames: int = 150) -> None:
         folder = Path(name)
         write_video(folder / "video.avi", frames + 1)
         cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-        engine = choose_detector(Network(cfg, SHIPPED_WEIGHTS, SCORE, MAX_IOU)).engine
+        detector = choose_detector(Network(cfg, SHIPPED_WEIGHTS, SCORE, MAX_IOU))
+        engine = detector.engine
         tracker, _ = make_tracker(TrackerName.droplet, Parameters())
         recorder = Recorder(tracker.max_age)
         source = Video(str(folder / "video.avi")).numbered()
-        engine.run(engine.prepare([next(source)[1]]))  # the first is slower
+        # the first of each is slower
+        detector.detect([next(source)[1]])
         compiled()
         with TrajectoryWriter(folder / "trajectories.csv", {}, FURTHER_COLUMNS) as rows:
             results = Results(rows)

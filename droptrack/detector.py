@@ -100,6 +100,8 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is at infinity
         logit = np.log(threshold) - np.log1p(-threshold)
     anchor, row, column = np.nonzero(raw[:, 4] > logit)
+    if not len(anchor):
+        return np.zeros((0, raw.shape[1]), np.float32)
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
     probability = expit(chosen)
     in_cell = head.scale_x_y * (probability[:, :2] - 0.5) + 0.5

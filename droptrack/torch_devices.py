@@ -73,15 +73,21 @@ def other_ranks(
         finally:
             for process in others:
                 process.join(5)
-                process.terminate()
+                process.kill()
                 process.join()
             distributed.destroy_process_group()
+
+
+def leave_signals_to_the_first_process() -> None:
+    """Whoever ends a training ends all of its processes; the first says so to the others."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _be_rank(
     rank: int, devices: Sequence[str], meeting: Path, run: Callable[[T, int], None], job: T
 ) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is rank 0's to handle
+    leave_signals_to_the_first_process()
     _join(rank, devices, meeting)
     run(job, rank)
     distributed.destroy_process_group()

@@ -2,7 +2,6 @@
 
 import math
 import os
-import signal
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import nullcontext
@@ -24,7 +23,11 @@ from droptrack.detections import Detections
 from droptrack.detector import decode_head, select
 from droptrack.metrics import average_precision
 from droptrack.torch_data import Augmentation, Batches, DrawPicture, TrainingPictures, collate
-from droptrack.torch_devices import mean_over_ranks, other_ranks
+from droptrack.torch_devices import (
+    leave_signals_to_the_first_process,
+    mean_over_ranks,
+    other_ranks,
+)
 from droptrack.torch_loss import yolo_loss
 from droptrack.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training_log import Step, TrainingLog, running_average
@@ -303,8 +306,8 @@ def _validate(
 
 
 def _quiet_worker(_: int) -> None:
-    """Ctrl-C is the main process's to handle; one thread a worker."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """One thread a worker."""
+    leave_signals_to_the_first_process()
     cv2.setNumThreads(1)
 
 

@@ -1,6 +1,11 @@
 """The PyTorch trainer and its pictures, against each other and against hand counts."""
 
 import gc
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -113,6 +118,33 @@ def test_an_iteration_that_was_broken_off_is_done_again(
         list(train(Job(cfg, data, tmp_path, settings(iterations=8))))
     list(train(Job(cfg, data, tmp_path, settings(iterations=8), resume=True)))
     assert [row.iteration for row in read_log(tmp_path / "training.csv")] == list(range(1, 9))
+
+
+def test_a_job_ended_by_a_cluster_says_how_to_go_on(data: DataSet, tmp_path: Path) -> None:
+    """SIGTERM for all processes at once, as from a queue whose time is over."""
+    out = tmp_path / "run"
+    options: dict[str, object] = {
+        "--cfg": SMALL,
+        "--data": data.train[0].parents[1] / "obj.data",
+        "--out": out,
+    }
+    options |= {"--trainer": "torch", "--workers": 2, "--batch": 4, "--iterations": 100_000}
+    command = [sys.executable, "-m", "droptrack.train"]
+    command += [str(word) for pair in options.items() for word in pair]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        deadline = time.monotonic() + 120
+        while not (out / "training.csv").exists() or len(read_log(out / "training.csv")) < 3:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        os.killpg(process.pid, signal.SIGTERM)
+        said = process.communicate(timeout=60)[1]
+    done = read_log(out / "training.csv")[-1].iteration
+    assert process.returncode == 1
+    assert f"stopped; --resume goes on from iteration {done}" in " ".join(said.split())
+    assert "Traceback" not in said
 
 
 def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from droptrack import DroptrackError
 from droptrack.darknet_files import YoloHead
 from droptrack.detections import Detections, suppress_doubles
 from droptrack.stage_times import StageTimes
-from droptrack.video import Frame
+from droptrack.video import Frame, negative
 
 Float32s = NDArray[np.float32]
 
@@ -42,11 +42,14 @@ class Detector:
     """Finds droplets in frames with an engine.
 
     `threshold`: least score of a detection; `max_iou`: overlap from which two detections are one
-    droplet.
+    droplet; `dark`: droplets are darker than what is around them, and the network learned bright
+    ones, so that it is shown the negative.
     """
 
-    def __init__(self, engine: Engine, threshold: float, max_iou: float) -> None:
-        self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
+    def __init__(
+        self, engine: Engine, threshold: float, max_iou: float, *, dark: bool = False
+    ) -> None:
+        self.engine, self.threshold, self.max_iou, self.dark = engine, threshold, max_iou, dark
 
     def detect(self, frames: Sequence[Frame], times: StageTimes | None = None) -> list[Detections]:
         """The detections of each of some frames (H, W, 3) of one size, in one pass.
@@ -57,7 +60,8 @@ class Detector:
         height, width = frames[0].shape[:2]
         try:
             with times.measure("preprocess"):
-                prepared = self.engine.prepare(frames)
+                shown = [negative(frame) for frame in frames] if self.dark else frames
+                prepared = self.engine.prepare(shown)
             with times.measure("network"):
                 outputs = self.engine.run(prepared)
         except (RuntimeError, cv2.error) as error:

@@ -60,10 +60,15 @@ class Network:
     weights_path: Path
     threshold: float
     max_iou: float
+    dark: bool = False
 
     def weights(self) -> Weights:
         """The weights; raises DroptrackError for a file that does not fit the cfg."""
         return read_weights(self.weights_path, self.cfg)
+
+    def detector(self, engine: Engine) -> Detector:
+        """A detector with this network on an engine."""
+        return Detector(engine, self.threshold, self.max_iou, dark=self.dark)
 
 
 def choose_detector(
@@ -83,8 +88,7 @@ def choose_detector(
     """
     weights = network.weights()
     if backend is not Backend.auto:
-        engine = _engine(network, weights, backend, precision, live=live)
-        return Detector(engine, network.threshold, network.max_iou)
+        return network.detector(_engine(network, weights, backend, precision, live=live))
     reasons = []
     for candidate in _candidates(precision):
         try:
@@ -94,8 +98,8 @@ def choose_detector(
             continue
         for reason in reasons:
             say(f"not used: {reason}")
-        return Detector(engine, network.threshold, network.max_iou)
-    raise DroptrackError(f"--precision {precision}: no engine here has it: {'; '.join(reasons)}")
+        return network.detector(engine)
+    raise DroptrackError("; ".join(reasons) or f"--precision {precision}: no engine here has it")
 
 
 def _candidates(precision: Precision) -> Iterator[Backend]:

@@ -68,6 +68,9 @@ def main(
     max_iou: Annotated[
         float, typer.Option(min=0, max=1, help="Overlap from which two boxes are one droplet.")
     ] = 0.3,
+    dark: Annotated[
+        bool, typer.Option("--dark", help="Droplets are darker than what is around them.")
+    ] = False,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[int, typer.Option(min=0, help="Stop after these; 0: never.")] = 0,
     tracker: Annotated[TrackerName, typer.Option(help="How.")] = TrackerName.droplet,
@@ -114,7 +117,7 @@ def main(
     info = source.info
     live = source.live if live is None else live
     detector = choose_detector(
-        Network(network, weights, score, max_iou),
+        Network(network, weights, score, max_iou, dark),
         backend,
         precision,
         live=live,
@@ -138,6 +141,7 @@ def main(
         "live": live,
         "score": score,
         "max_iou": max_iou,
+        "dark": dark,
         **tracker_settings,
     }
     problem: DroptrackError | None = None
@@ -185,6 +189,13 @@ def main(
         typer.echo(
             f"{video}: {n_missing} of the {total} frames it claims could not be decoded: it is "
             "damaged, or ends early",
+            err=True,
+        )
+    if results.n_frames and not results.n_detections:
+        shade, cure = ("brighter", "leave out") if dark else ("darker", "add")
+        typer.echo(
+            f"{video}: no droplets found; if they are {shade} than what is around them, {cure} "
+            "--dark",
             err=True,
         )
     if results.n_dropped:

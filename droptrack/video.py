@@ -152,6 +152,12 @@ def grey_plane(frame: Frame) -> NDArray[np.uint8] | None:
     return frame[..., 0] if frame.strides[2] == 0 else None
 
 
+def negative(frame: Frame) -> Frame:
+    """A frame with dark and bright exchanged."""
+    plane = grey_plane(frame)
+    return 255 - frame if plane is None else grey_frame(255 - plane)
+
+
 def as_frame(image: NDArray[Any]) -> Frame:
     """Any decoded image as a frame: grey becomes BGR, alpha lies on black, 16 bits become 8."""
     if image.dtype == np.uint16:

@@ -135,6 +135,26 @@ def test_a_single_picture_has_its_droplets(tmp_path: Path) -> None:
     assert len(rows) == len(scene.boxes)
 
 
+def test_dark_droplets_are_found_in_the_negative(sine: Path, tmp_path: Path) -> None:
+    for name in ("bright", "dark"):
+        (tmp_path / name).mkdir()
+    for t, frame in zip(range(4), Video(str(sine / "video.avi")), strict=False):
+        cv2.imwrite(str(tmp_path / "bright" / f"{t}.png"), frame)
+        cv2.imwrite(str(tmp_path / "dark" / f"{t}.png"), 255 - frame)
+    assert "if they are darker than what is around them, add --dark" in track(
+        tmp_path / "dark", tmp_path / "none"
+    )
+    assert "no droplets found" not in track(tmp_path / "bright", tmp_path / "of bright")
+    track(tmp_path / "dark", tmp_path / "of dark", "--dark")
+    rows, expected = (
+        read_trajectories(tmp_path / f"of {name}" / "trajectories.csv")[0]
+        for name in ("dark", "bright")
+    )
+    assert len(rows) == 4 * 12
+    np.testing.assert_allclose(rows.boxes, expected.boxes)
+    np.testing.assert_allclose(rows.x, expected.x, atol=1e-3)  # grey levels are rounded elsewhere
+
+
 def test_a_video_without_droplets_gives_an_empty_table(tmp_path: Path) -> None:
     folder = tmp_path / "dark"
     folder.mkdir()

@@ -8,6 +8,7 @@ from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes import SCENES
 from droptrack import DroptrackError
 from droptrack.dataset import read_data_file, read_image, read_truth
+from droptrack.flaws import photographed
 
 
 def digest(folder: Path) -> dict[str, str]:
@@ -55,6 +56,36 @@ def test_an_interrupted_data_set_is_completed_to_the_same_bytes(tmp_path: Path) 
     (tmp_path / "cut" / "train" / "000040.jpg").write_bytes(b"half an ima")  # no label yet
     make(tmp_path / "cut", recipe)
     assert digest(tmp_path / "cut") == digest(tmp_path / "whole")
+
+
+def test_a_share_of_the_pictures_is_spoilt_and_no_label(tmp_path: Path) -> None:
+    make(tmp_path / "drawn", Recipe("c", 40, 4, seed=1))
+    make(tmp_path / "spoilt", Recipe("c", 40, 4, seed=1, spoilt=0.5))
+    drawn, spoilt = digest(tmp_path / "drawn"), digest(tmp_path / "spoilt")
+    changed = [name for name in drawn if drawn[name] != spoilt[name]]
+    pictures = [name for name in changed if name.endswith(".jpg")]
+    assert 12 <= len(pictures) <= 32
+    assert set(changed) - set(pictures) == {"dataset.json"}
+
+
+def test_a_data_set_from_before_pictures_could_be_spoilt_is_completed(tmp_path: Path) -> None:
+    recipe = Recipe("c", 3, 1, seed=1)
+    make(tmp_path, recipe)
+    manifest = tmp_path / "dataset.json"
+    manifest.write_text(manifest.read_text().replace('"spoilt": 0.0,', ""))
+    assert "spoilt" not in manifest.read_text()
+    make(tmp_path, recipe)
+    with pytest.raises(DroptrackError, match="of other spoilt"):
+        make(tmp_path, Recipe("c", 3, 1, seed=1, spoilt=1))
+
+
+def test_flaws_are_the_same_in_all_colours() -> None:
+    picture = SCENES["c"](np.random.default_rng(0)).image
+    grey = photographed(picture, np.random.default_rng(4))
+    colour = photographed(np.repeat(picture[..., None], 3, axis=2), np.random.default_rng(4))
+    assert grey.dtype == np.uint8
+    assert (colour == grey[..., None]).all()
+    assert (grey != picture).mean() > 0.02
 
 
 def test_another_data_set_is_not_overwritten(tmp_path: Path) -> None:

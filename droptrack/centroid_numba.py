@@ -1,6 +1,7 @@
 """Centres of mass droplet by droplet, compiled: what centroid.py says of arrays, in loops.
 
-The results are the same to the last bit.
+The results are the same to the last bit. Numba keeps what it compiled until this file changes:
+after a change of a constant in centroid.py, touch it.
 """
 
 from typing import Any, NamedTuple

@@ -1,7 +1,7 @@
 """Centres of mass droplet by droplet, compiled: what centroid.py says of arrays, in loops.
 
-The results are the same to the last bit. Numba keeps what it compiled until this file changes:
-after a change of a constant in centroid.py, touch it.
+The results are the same, to the last bit for droplets of up to 300 px. Numba keeps what it
+compiled until this file changes: after a change of a constant in centroid.py, touch it.
 """
 
 from typing import Any, NamedTuple
@@ -15,6 +15,7 @@ from droptrack.centroid import AROUND, CORE, INSIDE, LEAST_CONTRAST, MIDDLE
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Pixels = NDArray[np.uint8]
+Float32s = NDArray[np.float32]
 
 # what a pixel of a crop is; numbers from FIRST_REGION on are regions
 BARE = 0
@@ -208,27 +209,45 @@ def _runs_into(crop: Crop, region: int, box: Floats) -> bool:
 
 
 @njit(**FAST)
-def _nearer(crop: Crop, x: int, y: int, box: Floats, others: Floats) -> bool:
-    """Whether a pixel is nearer to its own box than to others, in units of their half sizes."""
-    own_x = (crop.x - box[0] + (x + 0.5)) * (2 / box[2])
-    own_y = (crop.y - box[1] + (y + 0.5)) * (2 / box[3])
-    for other in others:
-        other_x = (crop.x - other[0] + (x + 0.5)) * (2 / other[2])
-        other_y = (crop.y - other[1] + (y + 0.5)) * (2 / other[3])
-        if np.float32(own_x**2 - other_x**2) > np.float32(other_y**2 - own_y**2):
-            return False
-    return True
+def _compare(crop: Crop, box: Floats, others: Floats, beyond: Float32s, within: Float32s) -> None:
+    """Compare distances of a crop's pixels to its own box and to K others, in their half sizes.
+
+    Pixel (x, y) is nearer to its own than to the k-th where beyond[k, x] <= within[k, y].
+    """
+    for k, other in enumerate(others):
+        for x in range(crop.width):
+            own_x = (crop.x - box[0] + (x + 0.5)) * (2 / box[2])
+            other_x = (crop.x - other[0] + (x + 0.5)) * (2 / other[2])
+            beyond[k, x] = own_x**2 - other_x**2
+        for y in range(crop.height):
+            own_y = (crop.y - box[1] + (y + 0.5)) * (2 / box[3])
+            other_y = (crop.y - other[1] + (y + 0.5)) * (2 / other[3])
+            within[k, y] = other_y**2 - own_y**2
 
 
 @njit(**FAST)
-def _leave_to(crop: Crop, box: Floats, others: Floats) -> None:
-    """Mark the covered pixels that are nearer to other boxes."""
+def _nearer(beyond: Float32s, within: Float32s, x: int, y: int) -> bool:
+    """Whether a pixel is nearer to its own box than to all others."""
+    own = True
+    for k in range(len(beyond)):
+        own &= beyond[k, x] <= within[k, y]
+    return own
+
+
+@njit(**FAST)
+def _leave_to_others(crop: Crop, beyond: Float32s, within: Float32s) -> None:
+    """Mark the covered pixels that are nearer to other boxes, and number no regions any more."""
+    own = np.empty(crop.width, np.bool_)
     for y in range(1, crop.height - 1):
-        for x in range(1, crop.width - 1):
-            at = y * crop.width + x
-            if crop.state[at] != BARE:
-                own = _nearer(crop, x, y, box, others)
-                crop.state[at] = COVERED if own else FOREIGN
+        own[:] = True
+        for k in range(len(beyond)):
+            limit, line = within[k, y], beyond[k]
+            for x in range(len(own)):
+                own[x] &= line[x] <= limit
+        state = crop.state[y * crop.width : (y + 1) * crop.width]
+        for x in range(len(own)):
+            if state[x] > DONE:
+                state[x] = COVERED if own[x] else FOREIGN
 
 
 @njit(**FAST)
@@ -246,11 +265,11 @@ def _is_edge(crop: Crop, at: int, region: int) -> bool:
 
 @njit(**FAST)
 def _moments(
-    crop: Crop, region: int, runs: Rows, box: Floats, others: Floats
+    crop: Crop, region: int, runs: Rows, beyond: Float32s, within: Float32s
 ) -> tuple[int, int, int]:
     """Sums of heights, and of heights times column and line, over a region's runs and its edge.
 
-    The edge is only where it is nearer to the box than to others.
+    The edge is only where it is nearer to the own box than to others.
     """
     sign, full = (1, crop.contrast) if crop.contrast > 0 else (-1, -crop.contrast)
     total, moment_x, moment_y = 0, 0, 0
@@ -275,7 +294,7 @@ def _moments(
                 if line[i] != BARE or not _is_edge(crop, start + i, region):
                     continue
                 x = first - 1 + i
-                if not _nearer(crop, x, edge_y, box, others):
+                if len(beyond) and not _nearer(beyond, within, x, edge_y):
                     continue
                 line[i] = DONE
                 height = max(0, sign * (crop.grey[crop.y + edge_y, crop.x + x] - crop.background))
@@ -302,13 +321,16 @@ def measure(
     `low` and `size` (N, 2) are the crops' corner and size, px; `neighbours` (N, K) the other boxes
     that may touch, -1 where there are fewer; `reach` (N, 2) how far the crops go from the middle.
     """
-    most = 0
+    most, longest = 0, 0
     for row in rows:
         most = max(most, (size[row, 0] + 2) * (size[row, 1] + 2))
+        longest = max(longest, size[row, 0] + 2, size[row, 1] + 2)
     state, waiting = np.empty(most, np.uint8), np.empty(most, np.int64)
     runs = np.empty((most, 2), np.int64)
     counts = np.empty(256, np.int64)
     others = np.empty((neighbours.shape[1], 4))
+    beyond = np.empty((neighbours.shape[1], longest), np.float32)
+    within = np.empty((neighbours.shape[1], longest), np.float32)
     for row in rows:
         box = boxes[row]
         background, contrast = _levels(grey, box, counts)
@@ -331,11 +353,14 @@ def measure(
                     and abs(other[1] - box[1]) <= reach[row, 1] + CORE_REACH * other[3] / 2
                 )
                 touching |= near and _runs_into(crop, region, other)
+        n_rivals = n_others if touching else 0
         if touching:  # they end half way to it
-            _leave_to(crop, box, others[:n_others])
+            _compare(crop, box, others[:n_others], beyond, within)
+            _leave_to_others(crop, beyond[:n_others], within)
             region, start, end = _region(crop, box, runs, waiting)
-        rivals = others[: n_others if touching else 0]
-        total, moment_x, moment_y = _moments(crop, region, runs[start:end], box, rivals)
+        total, moment_x, moment_y = _moments(
+            crop, region, runs[start:end], beyond[:n_rivals], within[:n_rivals]
+        )
         if total > 0:
             centre_x, centre_y = x + 0.5 + moment_x / total, y + 0.5 + moment_y / total
             if abs(centre_x - box[0]) < box[2] / 2 and abs(centre_y - box[1]) < box[3] / 2:

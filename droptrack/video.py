@@ -22,7 +22,7 @@ Frame = NDArray[np.uint8]
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"}
 DEFAULT_FPS = 25.0  # of sources that do not say
 GREY = 4  # levels that the colours of a grey frame may differ by, from a codec's rounding
-LOOK_FOR_COLOUR = 10  # in every so manyth frame of a Motion JPEG video
+LOOK_FOR_COLOUR = 10  # frames from one look to the next, in Motion JPEG
 MOST_DAMAGED = 10_000  # frames one after the other that cannot be decoded, before the end is
 STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
@@ -228,7 +228,7 @@ def _read_jpegs(path: Path, capture: cv2.VideoCapture) -> Iterator[tuple[int, Fr
     OpenCV decodes a JPEG picture in less time than FFmpeg, a grey one in half of it, and tells when
     one is damaged.
     """
-    code = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True)
+    code = (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little")
     if code.upper() not in {b"MJPG", b"JPEG"} or not path.is_file():
         return None
     packets = _packets(path)

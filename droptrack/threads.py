@@ -28,7 +28,7 @@ def side_by_side(opencv_threads: int) -> Iterator[None]:
 
     A stage that needs Python for a moment gets it soon, and OpenCV, whose threads would wait for
     one another beside other stages, has at most as many as are said. What there was before is not
-    looked through for garbage: with Numba that takes 60 ms.
+    looked through for garbage: with Numba that takes 70 ms.
     """
     turn, threads = sys.getswitchinterval(), cv2.getNumThreads()
     sys.setswitchinterval(TURN)

@@ -99,7 +99,10 @@ def choose_detector(
         for reason in reasons:
             say(f"not used: {reason}")
         return network.detector(engine)
-    raise DroptrackError("; ".join(reasons) or f"--precision {precision}: no engine here has it")
+    cure = "" if precision is Precision.fp16 else "; pip install 'droptrack[openvino]'"
+    raise DroptrackError(
+        "; ".join(reasons) or f"--precision {precision}: no engine here has it{cure}"
+    )
 
 
 def _candidates(precision: Precision) -> Iterator[Backend]:

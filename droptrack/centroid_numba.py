@@ -19,10 +19,12 @@ Float32s = NDArray[np.float32]
 
 # what a pixel of a crop is; numbers from FIRST_REGION on are regions
 BARE = 0
-DONE = 1  # bare and counted already, or beyond the crop
-COVERED = 2
-FOREIGN = 3  # covered, but nearer to a neighbouring box
-FIRST_REGION = 4
+OWN = 1  # of the region whose moments are taken
+OTHER = 2  # covered, but not of this region
+BEYOND = 4  # bare, but nearer to a neighbouring box, or beyond the crop
+COVERED = 8
+FOREIGN = 9  # covered, but nearer to a neighbouring box
+FIRST_REGION = 10
 CORE_REACH = CORE.max()
 FAST: dict[str, Any] = {"error_model": "numpy", "cache": True, "nogil": True}
 # what `measure` takes; frames may be read-only
@@ -115,7 +117,7 @@ def _levels(grey: Pixels, box: Floats, counts: Rows) -> tuple[int, int]:
 @njit(**FAST)
 def _cover(crop: Crop) -> None:
     """Mark the pixels that lie beyond half the contrast."""
-    crop.state[: crop.width * crop.height] = DONE
+    crop.state[: crop.width * crop.height] = BEYOND
     half = abs(crop.contrast) // 2
     limit = np.uint8(crop.background + (half if crop.contrast > 0 else -half))
     for y in range(1, crop.height - 1):
@@ -130,44 +132,49 @@ def _cover(crop: Crop) -> None:
 
 
 @njit(**FAST)
-def _any(state: Pixels, value: int) -> bool:
-    """Whether a pixel has a value; looks at all of them, many at once."""
-    found = False
-    for at in range(len(state)):
-        found |= state[at] == value
-    return found
+def _fill(crop: Crop, seed: int, number: int, waiting: Rows) -> tuple[int, int, int, int]:
+    """Give the connected COVERED pixels around a seed a number, a piece of a line at a time.
 
-
-@njit(**FAST)
-def _fill(crop: Crop, seed: int, number: int, runs: Rows, n: int, waiting: Rows) -> int:
-    """Give the connected COVERED pixels around a seed a number.
-
-    Appends them to the n `runs`, pieces of lines from a pixel to that before another; returns how
-    many there are then.
+    Returns the first column and line, and those after the last.
     """
-    state = crop.state
-    waiting[0] = seed
+    state, width = crop.state, crop.width
+    left, top, right, bottom = width, crop.height, 0, 0
+    waiting[0, 0], waiting[0, 1] = seed, seed + 1
     n_waiting = 1
     while n_waiting:
         n_waiting -= 1
-        first = last = waiting[n_waiting]
-        if state[first] != COVERED:
+        start, end = waiting[n_waiting, 0], waiting[n_waiting, 1]  # all of it is of one state
+        if state[start] != COVERED:
             continue
-        while state[first - 1] == COVERED:
-            first -= 1
-        while state[last + 1] == COVERED:
-            last += 1
-        state[first : last + 1] = number
-        runs[n, 0], runs[n, 1] = first, last + 1
-        n += 1
-        for start in (first - crop.width, first + crop.width):
-            line = state[start : start + last - first + 1]
-            if _any(line, COVERED):
-                for x in range(len(line)):
-                    if line[x] == COVERED and (x == 0 or line[x - 1] != COVERED):
-                        waiting[n_waiting] = start + x
-                        n_waiting += 1
-    return n
+        while state[start - 1] == COVERED:
+            start -= 1
+        while state[end] == COVERED:
+            end += 1
+        state[start:end] = number
+        y = start // width
+        left, right = min(left, start - y * width), max(right, end - y * width)
+        top, bottom = min(top, y), max(bottom, y + 1)
+        for side in (-width, width):
+            first, last = start + side, end + side
+            some = False
+            for pixel in state[first:last]:  # all of them, many at once
+                some |= pixel == COVERED
+            if not some:
+                continue
+            while state[first] != COVERED:
+                first += 1
+            while state[last - 1] != COVERED:
+                last -= 1
+            whole = True
+            for pixel in state[first:last]:
+                whole &= pixel == COVERED
+            waiting[n_waiting, 0], waiting[n_waiting, 1] = first, last if whole else first + 1
+            n_waiting += 1
+            for at in range(first + 1, first if whole else last):
+                if state[at] == COVERED and state[at - 1] != COVERED:
+                    waiting[n_waiting, 0], waiting[n_waiting, 1] = at, at + 1
+                    n_waiting += 1
+    return left, top, right, bottom
 
 
 @njit(**FAST)
@@ -179,24 +186,23 @@ def _pixel(crop: Crop, box: Floats, place: Floats) -> int:
 
 
 @njit(**FAST)
-def _region(crop: Crop, box: Floats, runs: Rows, waiting: Rows) -> tuple[int, int, int]:
+def _region(crop: Crop, box: Floats, waiting: Rows, extents: Rows) -> int:
     """The connected region of COVERED pixels that fills most of the middle of a box.
 
-    Returns its number, and where its runs begin and end. Numbers the regions that it looks at.
+    Numbers the regions that it looks at; returns the region's number less FIRST_REGION, which is
+    the row of `extents` that says where it is.
     """
-    ends = np.zeros(len(MIDDLE) + 1, np.int64)
     counts = np.zeros(len(MIDDLE), np.int64)
+    extents[0] = 0  # where there is none
     n_regions = 0
     for place in MIDDLE:
         at = _pixel(crop, box, place)
         if crop.state[at] == COVERED:
-            number = FIRST_REGION + n_regions
-            ends[n_regions + 1] = _fill(crop, at, number, runs, ends[n_regions], waiting)
+            extents[n_regions] = _fill(crop, at, FIRST_REGION + n_regions, waiting)
             n_regions += 1
         if crop.state[at] >= FIRST_REGION:
             counts[crop.state[at] - FIRST_REGION] += 1
-    best = int(np.argmax(counts))
-    return FIRST_REGION + best, ends[best], ends[best + 1]
+    return int(np.argmax(counts))
 
 
 @njit(**FAST)
@@ -226,17 +232,8 @@ def _compare(crop: Crop, box: Floats, others: Floats, beyond: Float32s, within: 
 
 
 @njit(**FAST)
-def _nearer(beyond: Float32s, within: Float32s, x: int, y: int) -> bool:
-    """Whether a pixel is nearer to its own box than to all others."""
-    own = True
-    for k in range(len(beyond)):
-        own &= beyond[k, x] <= within[k, y]
-    return own
-
-
-@njit(**FAST)
 def _leave_to_others(crop: Crop, beyond: Float32s, within: Float32s) -> None:
-    """Mark the covered pixels that are nearer to other boxes, and number no regions any more."""
+    """Mark the pixels that are nearer to other boxes, and number no regions any more."""
     own = np.empty(crop.width, np.bool_)
     for y in range(1, crop.height - 1):
         own[:] = True
@@ -246,61 +243,59 @@ def _leave_to_others(crop: Crop, beyond: Float32s, within: Float32s) -> None:
                 own[x] &= line[x] <= limit
         state = crop.state[y * crop.width : (y + 1) * crop.width]
         for x in range(len(own)):
-            if state[x] > DONE:
+            if state[x] >= COVERED:
                 state[x] = COVERED if own[x] else FOREIGN
+            elif not own[x]:
+                state[x] = BEYOND
 
 
 @njit(**FAST)
-def _is_edge(crop: Crop, at: int, region: int) -> bool:
-    """Whether a BARE pixel at a region's side or corner is nearer to it than to other regions."""
-    state, up, down = crop.state, at - crop.width, at + crop.width
-    at_side, other_at_side, other_at_corner = False, False, False
-    for side in (up, at - 1, at + 1, down):
-        at_side |= state[side] == region
-        other_at_side |= state[side] >= COVERED and state[side] != region
-    for corner in (up - 1, up + 1, down - 1, down + 1):
-        other_at_corner |= state[corner] >= COVERED and state[corner] != region
-    return not other_at_side and (at_side or not other_at_corner)
+def _mark(crop: Crop, region: int, left: int, top: int, right: int, bottom: int) -> None:
+    """Make every pixel of a part of a crop OWN, OTHER, BARE or BEYOND."""
+    own, others = np.uint8(region), np.uint8(COVERED)
+    for y in range(top, bottom):
+        line = crop.state[y * crop.width + left : y * crop.width + right]
+        for x in range(len(line)):
+            line[x] = OWN if line[x] == own else (OTHER if line[x] >= others else line[x])
 
 
 @njit(**FAST)
-def _moments(
-    crop: Crop, region: int, runs: Rows, beyond: Float32s, within: Float32s
-) -> tuple[int, int, int]:
-    """Sums of heights, and of heights times column and line, over a region's runs and its edge.
+def _moments(crop: Crop, region: int, extent: Rows) -> tuple[int, int, int]:
+    """Sums of heights, and of heights times column and line, over a region and its edge.
 
-    The edge is only where it is nearer to the own box than to others.
+    The edge is what is BARE at the region's sides and corners and nearer to it than to others.
     """
+    left, top = max(extent[0] - 1, 1), max(extent[1] - 1, 1)
+    right, bottom = min(extent[2] + 1, crop.width - 1), min(extent[3] + 1, crop.height - 1)
+    _mark(crop, region, left - 1, top - 1, right + 1, bottom + 1)
     sign, full = (1, crop.contrast) if crop.contrast > 0 else (-1, -crop.contrast)
+    n = right - left
+    counted = np.empty(n, np.uint8)
     total, moment_x, moment_y = 0, 0, 0
-    for run in runs:
-        y, first = divmod(run[0], crop.width)
-        n = run[1] - run[0]
-        levels = crop.grey[crop.y + y, crop.x + first : crop.x + first + n]
+    for y in range(top, bottom):
+        here = y * crop.width + left
+        up, down = here - crop.width, here + crop.width
+        line = crop.state[here : here + n]
+        before, after = crop.state[here - 1 : here - 1 + n], crop.state[here + 1 : here + 1 + n]
+        above, below = crop.state[up : up + n], crop.state[down : down + n]
+        above_before, above_after = crop.state[up - 1 : up - 1 + n], crop.state[up + 1 : up + 1 + n]
+        below_before = crop.state[down - 1 : down - 1 + n]
+        below_after = crop.state[down + 1 : down + 1 + n]
+        for x in range(n):
+            side = above[x] | before[x] | after[x] | below[x]
+            corner = above_before[x] | above_after[x] | below_before[x] | below_after[x]
+            at_side, at_corner = (side & OWN) != 0, (corner & (OWN | OTHER)) == OWN
+            edge = (line[x] == BARE) & ((side & OTHER) == 0) & (at_side | at_corner)
+            counted[x] = edge | (line[x] == OWN)
+        levels = crop.grey[crop.y + y, crop.x + left : crop.x + right]
         mass, moment = 0, 0
         for x in range(n):
-            height = min(sign * (levels[x] - crop.background), full)
+            height = counted[x] * min(max(sign * (levels[x] - crop.background), 0), full)
             mass += height
             moment += height * x
         total += mass
-        moment_x += moment + mass * first
+        moment_x += moment + mass * left
         moment_y += mass * y
-        for edge_y in range(y - 1, y + 2):
-            start = edge_y * crop.width + first - 1
-            line = crop.state[start : start + n + 2]
-            if not _any(line, BARE):
-                continue
-            for i in range(n + 2):
-                if line[i] != BARE or not _is_edge(crop, start + i, region):
-                    continue
-                x = first - 1 + i
-                if len(beyond) and not _nearer(beyond, within, x, edge_y):
-                    continue
-                line[i] = DONE
-                height = max(0, sign * (crop.grey[crop.y + edge_y, crop.x + x] - crop.background))
-                total += height
-                moment_x += height * x
-                moment_y += height * edge_y
     return total, moment_x, moment_y
 
 
@@ -325,8 +320,8 @@ def measure(
     for row in rows:
         most = max(most, (size[row, 0] + 2) * (size[row, 1] + 2))
         longest = max(longest, size[row, 0] + 2, size[row, 1] + 2)
-    state, waiting = np.empty(most, np.uint8), np.empty(most, np.int64)
-    runs = np.empty((most, 2), np.int64)
+    state, waiting = np.empty(most, np.uint8), np.empty((most, 2), np.int64)
+    extents = np.empty((len(MIDDLE), 4), np.int64)
     counts = np.empty(256, np.int64)
     others = np.empty((neighbours.shape[1], 4))
     beyond = np.empty((neighbours.shape[1], longest), np.float32)
@@ -340,7 +335,7 @@ def measure(
         x, y = low[row, 0] - 1, low[row, 1] - 1
         crop = Crop(grey, state, x, y, width, height, background, contrast)
         _cover(crop)
-        region, start, end = _region(crop, box, runs, waiting)
+        region = _region(crop, box, waiting, extents)
         n_others = 0
         touching = False
         for neighbour in neighbours[row]:
@@ -352,15 +347,12 @@ def measure(
                     abs(other[0] - box[0]) <= reach[row, 0] + CORE_REACH * other[2] / 2
                     and abs(other[1] - box[1]) <= reach[row, 1] + CORE_REACH * other[3] / 2
                 )
-                touching |= near and _runs_into(crop, region, other)
-        n_rivals = n_others if touching else 0
+                touching |= near and _runs_into(crop, FIRST_REGION + region, other)
         if touching:  # they end half way to it
             _compare(crop, box, others[:n_others], beyond, within)
             _leave_to_others(crop, beyond[:n_others], within)
-            region, start, end = _region(crop, box, runs, waiting)
-        total, moment_x, moment_y = _moments(
-            crop, region, runs[start:end], beyond[:n_rivals], within[:n_rivals]
-        )
+            region = _region(crop, box, waiting, extents)
+        total, moment_x, moment_y = _moments(crop, FIRST_REGION + region, extents[region])
         if total > 0:
             centre_x, centre_y = x + 0.5 + moment_x / total, y + 0.5 + moment_y / total
             if abs(centre_x - box[0]) < box[2] / 2 and abs(centre_y - box[1]) < box[3] / 2:

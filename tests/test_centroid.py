@@ -39,6 +39,15 @@ def shaken(rng: np.random.Generator, boxes: Floats) -> Floats:
     return boxes + rng.normal(0, 0.05, boxes.shape) * boxes[:, [2, 3, 2, 3]]
 
 
+def wrong(rng: np.random.Generator, boxes: Floats) -> Floats:
+    """Boxes within others, across their edges and beyond the frame's."""
+    second = rng.permutation(boxes)[:8]
+    second[:, :2] += rng.normal(0, 0.3, (len(second), 2)) * second[:, 2:]
+    second[:, 2:] *= rng.uniform(0.05, 0.9, (len(second), 2))
+    anywhere = np.column_stack([rng.uniform(-20, 640, (8, 2)), rng.uniform(1, 90, (8, 2))])
+    return np.concatenate([second, anywhere])
+
+
 @pytest.mark.parametrize("dark", [False, True], ids=["bright on dark", "dark on bright"])
 def test_discs_are_located_to_two_thousandths_of_a_pixel(dark: bool) -> None:
     rng = np.random.default_rng(0)
@@ -161,6 +170,7 @@ def test_compiled_loops_do_the_same_as_arrays_to_the_last_bit(
         scene = SCENES[kind](rng)
         image = [scene.image, 255 - scene.image, photographed(scene.image, rng)][seed % 3]
         boxes = shaken(rng, scene.boxes) * [1, 1, *rng.choice([0.8, 1, 1.2], 2)]
+        boxes = np.concatenate([boxes, wrong(rng, scene.boxes)])
         centres, measured = centres_of_mass(frame_of(image), boxes)
         with monkeypatch.context() as arrays:
             arrays.setattr(centroid, "compiled", lambda: None)

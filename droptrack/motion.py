@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.int64] | NDArray[np.bool_] | slice
 
 
 @dataclass(frozen=True)
@@ -22,10 +23,10 @@ class Motion:
     velocity: Floats
     covariance: Floats
 
-    def __getitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Motion":
+    def __getitem__(self, rows: Rows) -> "Motion":
         return Motion(self.position[rows], self.velocity[rows], self.covariance[rows])
 
-    def __setitem__(self, rows: NDArray[np.int64] | NDArray[np.bool_], values: "Motion") -> None:
+    def __setitem__(self, rows: Rows, values: "Motion") -> None:
         self.position[rows] = values.position
         self.velocity[rows] = values.velocity
         self.covariance[rows] = values.covariance
@@ -41,8 +42,8 @@ def predict(state: Motion, acceleration: Floats) -> Motion:
     """One frame on; `acceleration` (N,): its standard deviation, px a frame²."""
     p, c, v = state.covariance.T
     q = acceleration**2
-    spread = np.column_stack([p + 2 * c + v + q / 4, c + v + q / 2, v + q])
-    return Motion(state.position + state.velocity, state.velocity, spread)
+    spread = np.array([p + 2 * c + v + q / 4, c + v + q / 2, v + q])
+    return Motion(state.position + state.velocity, state.velocity, spread.T)
 
 
 def update(state: Motion, measured: Floats, noise: Floats) -> Motion:
@@ -50,11 +51,11 @@ def update(state: Motion, measured: Floats, noise: Floats) -> Motion:
     p, c, v = state.covariance.T
     innovation = measured - state.position
     gain_p, gain_v = p / (p + noise**2), c / (p + noise**2)
-    spread = np.column_stack([(1 - gain_p) * p, (1 - gain_p) * c, v - gain_v * c])
+    spread = np.array([(1 - gain_p) * p, (1 - gain_p) * c, v - gain_v * c])
     return Motion(
         state.position + gain_p[:, None] * innovation,
         state.velocity + gain_v[:, None] * innovation,
-        spread,
+        spread.T,
     )
 
 
@@ -81,18 +82,12 @@ def smooth(filtered: Motion, predicted: Motion, later: Motion) -> Motion:
     determinant = pp * pv - pc**2
     a, b = p + c, c  # rows of P F'
     d, e = c + v, v
-    gain = np.stack(
-        [
-            np.column_stack([a * pv - b * pc, b * pp - a * pc]),
-            np.column_stack([d * pv - e * pc, e * pp - d * pc]),
-        ],
-        axis=1,
-    ) / np.reshape(determinant, (-1, 1, 1))  # (N, 2, 2)
+    g00, g01 = (a * pv - b * pc) / determinant, (b * pp - a * pc) / determinant
+    g10, g11 = (d * pv - e * pc) / determinant, (e * pp - d * pc) / determinant
     dx = later.position - predicted.position
     dv = later.velocity - predicted.velocity
     dp, dc, dw = (later.covariance - predicted.covariance).T
-    g00, g01, g10, g11 = gain.reshape(-1, 4).T
-    spread = np.column_stack(
+    spread = np.array(
         [
             p + g00 * g00 * dp + 2 * g00 * g01 * dc + g01 * g01 * dw,
             c + g00 * g10 * dp + (g00 * g11 + g01 * g10) * dc + g01 * g11 * dw,
@@ -102,5 +97,5 @@ def smooth(filtered: Motion, predicted: Motion, later: Motion) -> Motion:
     return Motion(
         filtered.position + g00[:, None] * dx + g01[:, None] * dv,
         filtered.velocity + g10[:, None] * dx + g11[:, None] * dv,
-        spread,
+        spread.T,
     )

@@ -16,7 +16,7 @@ from droptrack.motion import Motion
 from droptrack.recorder import Recorded
 
 Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
+Rows = NDArray[np.int64] | slice
 
 LAG = 30  # frames
 COLUMNS = ("smooth_x", "smooth_y", "velocity_x", "velocity_y")
@@ -36,6 +36,8 @@ class _Frame:
     diameters: Floats  # (N,) of each droplet when it was first seen
     filtered: Motion
     predicted: Motion  # what was expected of them; of droplets new in this frame, nothing
+    mine: Rows  # those that were in the frame just before,
+    theirs: Rows  # and their rows there
 
 
 class Smoother:
@@ -46,11 +48,8 @@ class Smoother:
 
     def add(self, recorded: Recorded) -> Iterator[tuple[Recorded, Floats]]:
         """Take the rows of one frame or more; yields rows (M) and columns (M, 4) that are done."""
-        frames = recorded.rows.frame
-        for number in np.unique(frames):
-            part = slice(*np.searchsorted(frames, [number, number + 1]))
-            rows = Recorded(recorded.rows[part], recorded.measured[part])
-            self._frames.append(self._filtered(int(number), rows))
+        for rows in _by_frame(recorded):
+            self._frames.append(self._filtered(int(rows.rows.frame[0]), rows))
             if len(self._frames) >= 2 * LAG:
                 yield from self._back(LAG)
 
@@ -70,18 +69,14 @@ class Smoother:
         noise = np.where(recorded.measured, CENTRE_OF_MASS_NOISE, BOX_CENTRE_NOISE) * diameters
         n = len(rows)
         spread = np.column_stack([noise**2, np.zeros(n), (FIRST_VELOCITY * diameters) ** 2])
-        state = Motion(places.copy(), np.zeros((n, 2)), spread)
-        predicted = Motion(places.copy(), np.zeros((n, 2)), spread.copy())
-        if before is not None and len(mine):
-            _put(
-                predicted,
-                mine,
-                motion.predict(before.filtered[theirs], ACCELERATION * diameters[mine]),
-            )
-            _put(state, mine, predicted[mine])
-            seen = mine[rows.observed[mine]]
-            _put(state, seen, motion.update(predicted[seen], places[seen], noise[seen]))
-        return _Frame(number, recorded, diameters, state, predicted)
+        predicted = Motion(places.copy(), np.zeros((n, 2)), spread)
+        followed = np.zeros(n, bool)
+        if before is not None:
+            acceleration = ACCELERATION * diameters[mine]
+            predicted[mine] = motion.predict(before.filtered[theirs], acceleration)
+            followed[mine] = rows.observed[mine]
+        state = motion.update(predicted, places, np.where(followed, noise, np.inf))
+        return _Frame(number, recorded, diameters, state, predicted, mine, theirs)
 
     def _back(self, n_done: int) -> Iterator[tuple[Recorded, Floats]]:
         """Go back through all frames that are held; hand out the first of them."""
@@ -89,16 +84,11 @@ class Smoother:
         later: Motion | None = None
         for index in range(len(self._frames) - 1, -1, -1):
             frame = self._frames[index]
-            state = frame.filtered[np.arange(len(frame.diameters))]
+            state = frame.filtered[np.arange(len(frame.diameters))]  # a copy
             if later is not None:
                 following = self._frames[index + 1]
-                ids = following.recorded.rows.track_id
-                theirs, mine = _common(frame, following.number, ids)
-                _put(
-                    state,
-                    mine,
-                    motion.smooth(state[mine], following.predicted[theirs], later[theirs]),
-                )
+                mine, theirs = following.theirs, following.mine
+                state[mine] = motion.smooth(state[mine], following.predicted[theirs], later[theirs])
             later = state
             columns.append(np.hstack([state.position, state.velocity]))
         for frame, values in zip(self._frames[:n_done], columns[::-1], strict=False):
@@ -106,17 +96,24 @@ class Smoother:
         del self._frames[:n_done]
 
 
-def _common(before: _Frame | None, number: int, ids: Rows) -> tuple[Rows, Rows]:
+def _by_frame(recorded: Recorded) -> Iterator[Recorded]:
+    """The rows of each frame."""
+    frames = recorded.rows.frame
+    if len(frames) and frames[0] == frames[-1]:
+        yield recorded
+        return
+    for number in np.unique(frames):
+        part = slice(*np.searchsorted(frames, [number, number + 1]))
+        yield Recorded(recorded.rows[part], recorded.measured[part])
+
+
+def _common(before: _Frame | None, number: int, ids: NDArray[np.int64]) -> tuple[Rows, Rows]:
     """Rows, here and in the frame just before, of the droplets that are in both."""
-    none = np.zeros(0, np.int64)
     if before is None or before.number != number - 1:
+        none = np.zeros(0, np.int64)
         return none, none
-    _, mine, theirs = np.intersect1d(
-        ids, before.recorded.rows.track_id, assume_unique=True, return_indices=True
-    )
+    ids_before = before.recorded.rows.track_id
+    if np.array_equal(ids, ids_before):
+        return slice(None), slice(None)
+    _, mine, theirs = np.intersect1d(ids, ids_before, assume_unique=True, return_indices=True)
     return mine.astype(np.int64), theirs.astype(np.int64)
-
-
-def _put(state: Motion, rows: Rows, values: Motion) -> None:
-    for name, array in vars(values).items():
-        getattr(state, name)[rows] = array

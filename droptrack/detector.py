@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from droptrack import DroptrackError
 from droptrack.darknet_files import YoloHead
@@ -101,18 +101,21 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     [cx, cy, w, h] relative to the picture, objectness, class probabilities (YOLOv3, section 2.1).
     """
     rows, columns = raw.shape[2:]
-    with np.errstate(divide="ignore"):  # a threshold of 0 or 1 is at infinity
-        logit = np.log(threshold) - np.log1p(-threshold)
-    anchor, row, column = np.nonzero(raw[:, 4] > logit)
-    if not len(anchor):
+    likely = np.flatnonzero(raw[:, 4] > logit(threshold))
+    if not len(likely):
         return np.zeros((0, raw.shape[1]), np.float32)
+    anchor, cell = np.divmod(likely, rows * columns)
+    row, column = np.divmod(cell, columns)
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
     probability = expit(chosen)
     in_cell = head.scale_x_y * (probability[:, :2] - 0.5) + 0.5
-    centre = (in_cell + np.column_stack([column, row])) / [columns, rows]
-    network_size = np.array([columns, rows]) * head.stride
-    size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / network_size
-    return np.column_stack([centre, size, probability[:, 4:]]).astype(np.float32)
+    size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / head.stride
+    found = np.empty(chosen.shape, np.float32)
+    found[:, 0] = (in_cell[:, 0] + column) / columns
+    found[:, 1] = (in_cell[:, 1] + row) / rows
+    found[:, 2], found[:, 3] = size[:, 0] / columns, size[:, 1] / rows
+    found[:, 4:] = probability[:, 4:]
+    return found
 
 
 def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: float) -> Detections:

@@ -90,7 +90,7 @@ def stages(frames: int = 150) -> None:
                 with measure("prepare"):
                     prepared = engine.prepare([frame])
                 with measure("network"):
-                    outputs = engine.run(prepared)
+                    outputs = engine.start(prepared).result().outputs
                 with measure("decode boxes"):
                     (chosen,) = engine.rows(outputs)
                     found = select(chosen, frame.shape[1], frame.shape[0], SCORE, MAX_IOU)

@@ -281,7 +281,7 @@ def network(
             for key, engine in engines.items():
                 prepared = engine.prepare([frame])
                 start = time.process_time()
-                engine.run(prepared)
+                engine.start(prepared).result()
                 if turn:  # the first is slower
                     times[key].append(1e3 * (time.process_time() - start))
         table = Table("network", "ms, all cores", "ratio")

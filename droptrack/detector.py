@@ -1,7 +1,8 @@
 """Frames -> detections: what an engine does, and what all engines share."""
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -17,11 +18,25 @@ from droptrack.video import Frame, negative
 Float32s = NDArray[np.float32]
 
 
+class Computed(NamedTuple):
+    """A network's outputs, and the seconds they took once their turn had come."""
+
+    outputs: Any
+    seconds: float
+
+
+class Computing(Protocol):
+    """An input on its way through a network."""
+
+    def result(self) -> Computed:
+        """Wait until it is done; raises RuntimeError or cv2.error when the engine fails."""
+
+
 class Engine(Protocol):
     """Runs a network; each file in `engines` has one or two.
 
-    `name` says what runs it and how precisely; `parallel` is the number of threads that may call it
-    at once, `opencv_threads` the number in which it lets OpenCV compute.
+    `name` says what runs it and how precisely; `parallel` is the number of inputs that it computes
+    at once, `opencv_threads` the number of threads in which it lets OpenCV compute.
     """
 
     name: str
@@ -31,8 +46,8 @@ class Engine(Protocol):
     def prepare(self, frames: Sequence[Frame]) -> Any:
         """Frames (H, W, 3) of one size -> the network's input."""
 
-    def run(self, prepared: Any) -> Any:
-        """The network's outputs."""
+    def start(self, prepared: Any) -> Computing:
+        """Give the network an input, and do not wait for it."""
 
     def rows(self, outputs: Any) -> list[Float32s]:
         """Of each frame, the decoded rows (N, 5 + C) that may be droplets, see `decode_head`."""
@@ -51,28 +66,45 @@ class Detector:
     ) -> None:
         self.engine, self.threshold, self.max_iou, self.dark = engine, threshold, max_iou, dark
 
-    def detect(self, frames: Sequence[Frame], times: StageTimes | None = None) -> list[Detections]:
+    def detect(self, frames: Sequence[Frame]) -> list[Detections]:
         """The detections of each of some frames (H, W, 3) of one size, in one pass.
 
         Raises DroptrackError when the engine fails, as for want of memory.
         """
-        times = times or StageTimes()
+        return self.start(frames, StageTimes())()
+
+    def start(self, frames: Sequence[Frame], times: StageTimes) -> Callable[[], list[Detections]]:
+        """Give frames to the network, which computes them meanwhile; wait with what is returned.
+
+        Both may raise DroptrackError.
+        """
         height, width = frames[0].shape[:2]
-        try:
+        with self._failures():
             with times.measure("preprocess"):
                 shown = [negative(frame) for frame in frames] if self.dark else frames
                 prepared = self.engine.prepare(shown)
-            with times.measure("network"):
-                outputs = self.engine.run(prepared)
+            computing = self.engine.start(prepared)
+
+        def finish() -> list[Detections]:
+            with self._failures():
+                outputs, seconds = computing.result()
+            times.add("network", seconds)
+            with times.measure("decode_boxes"):
+                return [
+                    select(rows, width, height, self.threshold, self.max_iou)
+                    for rows in self.engine.rows(outputs)
+                ]
+
+        return finish
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        try:
+            yield
         except (RuntimeError, cv2.error) as error:
             raise DroptrackError(
                 f"{self.engine.name}: the network failed: {first_line(error)}"
             ) from error
-        with times.measure("decode_boxes"):
-            return [
-                select(rows, width, height, self.threshold, self.max_iou)
-                for rows in self.engine.rows(outputs)
-            ]
 
 
 def first_line(error: Exception) -> str:

@@ -138,7 +138,7 @@ def _engine(
     try:
         engine = _make(network, weights, backend, precision, live=live)
         black = grey_frame(np.zeros((network.cfg.height, network.cfg.width), np.uint8))
-        engine.rows(engine.run(engine.prepare([black])))
+        engine.rows(engine.start(engine.prepare([black])).result().outputs)
     except ImportError as error:
         package = (error.name or "").partition(".")[0]
         extra = EXTRAS.get(package)

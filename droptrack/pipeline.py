@@ -6,7 +6,6 @@ decoded, and those before are drawn and written. Order is kept, and what waits i
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -151,15 +150,17 @@ def follow(
     tracked, `batch` at once through the network.
     """
     follower = Follower(tracker, describe, results, live=live)
-    running: deque[tuple[list[NumberedFrame], Future[list[Detections]]]] = deque()
+    running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
     engine = detector.engine
-    most = 0 if live else 2 * engine.parallel  # so that networks wait for nobody
-    pool = ThreadPoolExecutor(engine.parallel, thread_name_prefix="network")
+    most = 0 if live else 2 * engine.parallel  # so that the network waits for nobody
 
     def finish_oldest() -> int:
-        items, future = running[0]
-        found = future.result()
-        running.popleft()
+        items, detections_of = running.popleft()
+        try:
+            found = detections_of()
+        except BaseException:
+            running.clear()  # nothing goes on from here
+            raise
         for item, detections in zip(items, found, strict=True):
             follower.add(item, detections)
         return results.n_frames
@@ -172,18 +173,17 @@ def follow(
             source = iter(reader)
             while items := list(islice(source, 1 if live else batch)):
                 pictures = [item.frame for item in items]
-                running.append((items, pool.submit(detector.detect, pictures, results.times)))
+                running.append((items, detector.start(pictures, results.times)))
                 results.n_dropped = reader.n_dropped
                 if len(running) > most:
                     yield finish_oldest()
             while running:
                 yield finish_oldest()
     except BaseException:
-        while running and running[0][1].exception() is None:
+        while running:
             finish_oldest()
         raise
     finally:
-        pool.shutdown(cancel_futures=True)
         follower.finish()
 
 

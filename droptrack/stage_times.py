@@ -26,9 +26,12 @@ class StageTimes:
         try:
             yield
         finally:
-            elapsed = time.perf_counter() - start
-            with self._lock:
-                self.seconds[stage] += elapsed
+            self.add(stage, time.perf_counter() - start)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Count seconds towards a stage."""
+        with self._lock:
+            self.seconds[stage] += seconds
 
     def milliseconds_a_frame(self, n_frames: int) -> dict[str, float]:
         """``decode_ms`` and so on; NaN without frames."""

@@ -32,6 +32,7 @@ from droptrack.quantisation import (
     sha256_of,
     write_calibration,
 )
+from droptrack.stage_times import StageTimes
 from droptrack.video import Frame, grey_frame
 
 CFG = read_cfg(find_cfg(SHIPPED_WEIGHTS))
@@ -104,6 +105,24 @@ def test_an_engine_finds_what_opencv_finds(
     assert len(expected) > 5
     (found,) = detector(backend, precision).detect([frame])
     assert_same(found, expected)
+
+
+@pytest.mark.parametrize(("backend", "precision"), EXACT)
+def test_pictures_started_before_others_are_done_are_not_mixed_up(
+    backend: str, precision: str
+) -> None:
+    own = detector(backend, precision)
+    frames = [grey_frame(SCENES["c"](np.random.default_rng([3, seed])).image) for seed in range(5)]
+    expected = [own.detect([frame])[0].boxes.tolist() for frame in frames]
+    assert len({len(boxes) for boxes in expected}) > 1
+    for parts in ([1, 1, 1, 1, 1], [2, 3]):
+        ends = np.cumsum(parts)
+        running = [
+            own.start(frames[end - n : end], StageTimes())
+            for n, end in zip(parts, ends, strict=True)
+        ]
+        found = [detections.boxes.tolist() for finish in running for detections in finish()]
+        assert found == expected
 
 
 def test_onnx_runtime_finds_what_opencv_finds() -> None:
@@ -281,7 +300,7 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
     session = runtime.InferenceSession(quantised.SerializeToString())
     (theirs,) = session.run(None, {"images": image})
     engine = OpenVinoEngine(cfg, weights, "int8", 0.25, joined(cfg, ranges))
-    (ours,) = engine.run(engine.prepare([frame]))
+    (ours,) = engine.start(engine.prepare([frame])).result().outputs
     spread = float(np.ptp(exact_map))
     assert 0 < np.abs(ours - exact_map).max() < 0.03 * spread
     assert np.abs(ours - theirs).max() < 0.02 * spread

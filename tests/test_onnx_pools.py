@@ -54,6 +54,6 @@ def test_the_maps_are_the_same_to_the_last_bit(colour: bool) -> None:
     prepared = engine.prepare(frames)
     assert prepared.shape == (2, 3 if colour else 1, 96, 160)
     expected = ordinary(prepared)
-    for number, own in enumerate(engine.run(prepared)):
+    for number, own in enumerate(engine.start(prepared).result().outputs):
         assert np.ptp(own) > 1
         np.testing.assert_array_equal(own, expected[number])

@@ -14,6 +14,7 @@ from droptrack import DroptrackError
 from droptrack.appearance import describe
 from droptrack.deepsort import Parameters, Tracker
 from droptrack.detector import Detector, Float32s
+from droptrack.engines.in_thread import InThread
 from droptrack.pipeline import FURTHER_COLUMNS, Results, follow
 from droptrack.stage_times import StageTimes
 from droptrack.threads import READ_AHEAD, AnnotatedVideo, FrameReader, side_by_side
@@ -29,7 +30,7 @@ def frames(n: int, made: list[int], pause: float = 0.0) -> Iterator[tuple[int, F
         yield t, np.full((64, 96, 3), t, np.uint8)
 
 
-class GreyLevelEngine:
+class GreyLevelEngine(InThread):
     """Sees one droplet, at as many tenths of a pixel from the middle as the frame is bright.
 
     Frames take times by chance, or as long as `seconds` says.

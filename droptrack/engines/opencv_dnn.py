@@ -9,6 +9,7 @@ import numpy as np
 from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, Weights, cfg_text, weights_bytes, with_options
 from droptrack.detector import Float32s
+from droptrack.engines.in_thread import InThread
 from droptrack.video import Frame
 
 TARGETS = {
@@ -23,13 +24,12 @@ def has_cuda() -> bool:
     return bool(cv2.dnn.getAvailableTargets(cv2.dnn.DNN_BACKEND_CUDA))
 
 
-class OpenCvEngine:
+class OpenCvEngine(InThread):
     """A network in OpenCV; `backend` is ``opencv`` or ``opencv-cuda``.
 
     Raises DroptrackError for CUDA that is not there.
     """
 
-    parallel = 1
     opencv_threads = sys.maxsize
 
     def __init__(

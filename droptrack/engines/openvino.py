@@ -2,9 +2,10 @@
 
 import functools
 import os
-import queue
-import threading
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ import openvino
 from numpy.typing import NDArray
 
 from droptrack.darknet_files import Cfg, Weights, yolo_heads
-from droptrack.detector import Float32s, decode_heads
+from droptrack.detector import Computed, Float32s, decode_heads
 from droptrack.onnx_export import Range, onnx_model
 from droptrack.video import Frame, grey_plane
 
@@ -52,8 +53,7 @@ class OpenVinoEngine:
             "NUM_STREAMS": streams,
             "INFERENCE_NUM_THREADS": usable_cores(),
         }
-        self._requests: dict[int, queue.SimpleQueue[openvino.InferRequest]] = {}
-        self._compiling = threading.Lock()
+        self._networks: dict[int, Compiled] = {}
 
     def prepare(self, frames: Sequence[Frame]) -> Pixels:
         """Pictures (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
@@ -66,43 +66,66 @@ class OpenVinoEngine:
             cv2.resize(np.asarray(plane), self._size, dst=target[0])
         return pixels
 
-    def run(self, prepared: Pixels) -> list[Float32s]:
-        """The maps of the heads (B, A * (5 + C), rows, columns)."""
-        requests = self._requests_for(prepared.shape[1])
-        request = requests.get()
-        found = []
-        try:
-            for picture in prepared:  # together they take the same time
-                request.infer([picture[None]], share_inputs=True)
-                found.append([np.array(map_.data, np.float32) for map_ in request.output_tensors])
-        finally:
-            requests.put(request)
-        return [np.concatenate(maps) for maps in zip(*found, strict=True)]
+    def start(self, prepared: Pixels) -> "Computing":
+        """Compute pictures one by one, since together they take the same time."""
+        return Computing(self._network(prepared.shape[1]), prepared)
 
     def rows(self, outputs: list[Float32s]) -> list[Float32s]:
         """Decoded rows (N, 5 + C) of each picture."""
         return decode_heads(outputs, self._heads, self._threshold)
 
-    def _requests_for(self, channels: int) -> "queue.SimpleQueue[openvino.InferRequest]":
-        """Free infer requests of the network for grey or RGB pictures, compiled when needed."""
-        with self._compiling:
-            if channels not in self._requests:
-                model = onnx_model(
-                    self._cfg,
-                    self._weights,
-                    pixels=True,
-                    grey=channels == 1,
-                    ranges=self._ranges,
-                    pool_bytes=True,
-                )
-                network = core().read_model(model.SerializeToString())
-                network.reshape([1, channels, *self._size[::-1]])
-                compiled = core().compile_model(network, "CPU", self._settings)
-                free: queue.SimpleQueue[openvino.InferRequest] = queue.SimpleQueue()
-                for _ in range(self.parallel):
-                    free.put(compiled.create_infer_request())
-                self._requests[channels] = free
-        return self._requests[channels]
+    def _network(self, channels: int) -> "Compiled":
+        """The network for grey or RGB pictures, compiled when it is needed."""
+        if channels not in self._networks:
+            model = onnx_model(
+                self._cfg,
+                self._weights,
+                pixels=True,
+                grey=channels == 1,
+                ranges=self._ranges,
+                pool_bytes=True,
+            )
+            network = core().read_model(model.SerializeToString())
+            network.reshape([1, channels, *self._size[::-1]])
+            compiled = core().compile_model(network, "CPU", self._settings)
+            self._networks[channels] = Compiled(compiled, deque(maxlen=self.parallel))
+        return self._networks[channels]
+
+
+@dataclass
+class Compiled:
+    """A compiled network, its requests that are free, and when the last ones were done."""
+
+    network: openvino.CompiledModel
+    done: deque[float]  # as many as are computed at once, ``time.perf_counter``
+    free: list[openvino.InferRequest] = field(default_factory=list)
+
+
+class Computing:
+    """Pictures (B, C, height, width) on their way through a network."""
+
+    def __init__(self, compiled: Compiled, pictures: Pixels) -> None:
+        self._compiled = compiled
+        self._requests: list[openvino.InferRequest] = []
+        self._started = perf_counter()
+        for picture in pictures:
+            free = compiled.free
+            request = free.pop() if free else compiled.network.create_infer_request()
+            self._requests.append(request)
+            request.start_async([picture[None]], share_inputs=True)
+
+    def result(self) -> Computed:
+        """The maps of the heads (B, A * (5 + C), rows, columns)."""
+        found = []
+        for request in self._requests:
+            request.wait()
+            found.append([np.array(map_.data, np.float32) for map_ in request.output_tensors])
+        done = self._compiled.done
+        before = done[0] if len(done) == done.maxlen else 0.0
+        done.append(self._started + self._requests[-1].latency / 1e3)
+        self._compiled.free += self._requests
+        maps = [np.concatenate(maps) for maps in zip(*found, strict=True)]
+        return Computed(maps, done[-1] - max(self._started, before))
 
 
 @functools.cache

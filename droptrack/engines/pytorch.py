@@ -13,6 +13,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, Weights
 from droptrack.detector import Float32s
+from droptrack.engines.in_thread import InThread
 from droptrack.torch_network import DarknetNetwork, load_values
 from droptrack.video import Frame
 
@@ -59,10 +60,9 @@ class FramesToRows(nn.Module):
         return torch.cat(parts, dim=1)
 
 
-class TorchEngine:
+class TorchEngine(InThread):
     """A network in PyTorch on the CPU."""
 
-    parallel = 1
     opencv_threads = 1
     device = "cpu"
 

@@ -89,7 +89,13 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
     """
     centres = boxes[:, :2].copy()
     measured = np.zeros(len(boxes), bool)
-    height, width = frame.shape[:2]
+    plane = grey_plane(frame)
+    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane
+    grey, boxes = np.ascontiguousarray(grey, np.uint8), np.ascontiguousarray(boxes)
+    if (measure := compiled()) is not None:
+        measure(grey, boxes, centres, measured)
+        return centres, measured
+    height, width = grey.shape
     reach = boxes[:, 2:] * (0.5 + MARGIN) + EDGE_PX
     low = np.clip(np.floor(boxes[:, :2] - reach), 0, [width, height]).astype(np.int64)
     high = np.clip(np.ceil(boxes[:, :2] + reach), 0, [width, height]).astype(np.int64)
@@ -97,13 +103,7 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
     usable = np.flatnonzero((size >= 3).all(axis=1))
     if not len(usable):
         return centres, measured
-    plane = grey_plane(frame)
-    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane
-    grey, boxes = np.ascontiguousarray(grey, np.uint8), np.ascontiguousarray(boxes)
     neighbours = _neighbours(boxes)
-    if (measure := compiled()) is not None:
-        measure(grey, boxes, usable, low, size, neighbours, reach, centres, measured)
-        return centres, measured
     background, contrast = _levels(grey, boxes)
     for rows in _groups(usable, size[usable].max(axis=1)):
         heights, full = _cut(grey, low[rows], size[rows], background[rows], contrast[rows])

@@ -10,7 +10,16 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
-from droptrack.centroid import AROUND, CORE, INSIDE, LEAST_CONTRAST, MIDDLE
+from droptrack.centroid import (
+    AROUND,
+    CORE,
+    EDGE_PX,
+    INSIDE,
+    LEAST_CONTRAST,
+    MARGIN,
+    MIDDLE,
+    NEIGHBOURS,
+)
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -28,16 +37,10 @@ FIRST_REGION = 10
 CORE_REACH = CORE.max()
 FAST: dict[str, Any] = {"error_model": "numpy", "cache": True, "nogil": True}
 # what `measure` takes; frames may be read-only
-_ROWS, _TABLE, _FLOATS = types.int64[::1], types.int64[:, ::1], types.float64[:, ::1]
 SIGNATURE = types.void(
     types.Array(types.uint8, 2, "C", readonly=True),
-    _FLOATS,
-    _ROWS,
-    _TABLE,
-    _TABLE,
-    _TABLE,
-    _FLOATS,
-    _FLOATS,
+    types.float64[:, ::1],
+    types.float64[:, ::1],
     types.boolean[::1],
 )
 
@@ -53,6 +56,12 @@ class Crop(NamedTuple):
     height: int
     background: int
     contrast: int  # below 0 where the droplet is dark
+
+
+@njit(**FAST)
+def _reach(size: float) -> float:
+    """How far a crop goes from the middle of a box of a size, px."""
+    return size * (0.5 + MARGIN) + EDGE_PX
 
 
 @njit(**FAST)
@@ -299,55 +308,73 @@ def _moments(crop: Crop, region: int, extent: Rows) -> tuple[int, int, int]:
     return total, moment_x, moment_y
 
 
-@njit(SIGNATURE, **FAST)  # compiled when it is imported, not at the first frame
-def measure(
-    grey: Pixels,
-    boxes: Floats,
-    rows: Rows,
-    low: Rows,
-    size: Rows,
-    neighbours: Rows,
-    reach: Floats,
-    centres: Floats,
-    measured: NDArray[np.bool_],
-) -> None:
-    """Put into `centres` (N, 2) and `measured` (N,) what is found in some rows of boxes (N, 4).
+@njit(**FAST)
+def _nearest(boxes: Floats, order: Rows, place: int, found: Rows, squares: Floats) -> int:
+    """Put the nearest other boxes of one into `found`, the nearest first; returns how many.
 
-    `low` and `size` (N, 2) are the crops' corner and size, px; `neighbours` (N, K) the other boxes
-    that may touch, -1 where there are fewer; `reach` (N, 2) how far the crops go from the middle.
+    `order` are the boxes from left to right, and `place` is where this one stands among them.
     """
+    row, n = order[place], 0
+    for step in (-1, 1):
+        at = place + step
+        while 0 <= at < len(order):
+            other = order[at]
+            x, y = boxes[other, 0] - boxes[row, 0], boxes[other, 1] - boxes[row, 1]
+            if n == len(found) and x * x >= squares[n - 1]:
+                break  # as are all that follow
+            square = x * x + y * y
+            if n < len(found) or square < squares[n - 1]:
+                n = min(n + 1, len(found))
+                k = n - 1
+                while k > 0 and squares[k - 1] > square:
+                    found[k], squares[k] = found[k - 1], squares[k - 1]
+                    k -= 1
+                found[k], squares[k] = other, square
+            at += step
+    return n
+
+
+@njit(SIGNATURE, **FAST)  # compiled when it is imported, not at the first frame
+def measure(grey: Pixels, boxes: Floats, centres: Floats, measured: NDArray[np.bool_]) -> None:
+    """Put into `centres` (N, 2) and `measured` (N,) what is found in boxes (N, 4)."""
+    frame = np.array([grey.shape[1], grey.shape[0]])
+    low, high = np.empty((len(boxes), 2), np.int64), np.empty((len(boxes), 2), np.int64)
     most, longest = 0, 0
-    for row in rows:
-        most = max(most, (size[row, 0] + 2) * (size[row, 1] + 2))
-        longest = max(longest, size[row, 0] + 2, size[row, 1] + 2)
+    for row in range(len(boxes)):
+        for k in range(2):
+            reach = _reach(boxes[row, 2 + k])
+            low[row, k] = min(max(np.floor(boxes[row, k] - reach), 0), frame[k])
+            high[row, k] = min(max(np.ceil(boxes[row, k] + reach), 0), frame[k])
+        width, height = high[row, 0] - low[row, 0] + 2, high[row, 1] - low[row, 1] + 2
+        most, longest = max(most, width * height), max(longest, width, height)
     state, waiting = np.empty(most, np.uint8), np.empty((most, 2), np.int64)
     extents = np.empty((len(MIDDLE), 4), np.int64)
     counts = np.empty(256, np.int64)
-    others = np.empty((neighbours.shape[1], 4))
-    beyond = np.empty((neighbours.shape[1], longest), np.float32)
-    within = np.empty((neighbours.shape[1], longest), np.float32)
-    for row in rows:
+    near, squares = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS)
+    others = np.empty((NEIGHBOURS, 4))
+    beyond = np.empty((NEIGHBOURS, longest), np.float32)
+    within = np.empty((NEIGHBOURS, longest), np.float32)
+    order = np.argsort(boxes[:, 0], kind="mergesort")
+    for place, row in enumerate(order):
         box = boxes[row]
+        width, height = high[row, 0] - low[row, 0] + 2, high[row, 1] - low[row, 1] + 2
+        if width < 5 or height < 5:
+            continue
         background, contrast = _levels(grey, box, counts)
         if contrast == 0:
             continue
-        width, height = size[row, 0] + 2, size[row, 1] + 2
         x, y = low[row, 0] - 1, low[row, 1] - 1
         crop = Crop(grey, state, x, y, width, height, background, contrast)
         _cover(crop)
         region = _region(crop, box, waiting, extents)
-        n_others = 0
         touching = False
-        for neighbour in neighbours[row]:
-            if neighbour >= 0:
-                other = boxes[neighbour]
-                others[n_others] = other
-                n_others += 1
-                near = (
-                    abs(other[0] - box[0]) <= reach[row, 0] + CORE_REACH * other[2] / 2
-                    and abs(other[1] - box[1]) <= reach[row, 1] + CORE_REACH * other[3] / 2
-                )
-                touching |= near and _runs_into(crop, FIRST_REGION + region, other)
+        n_others = _nearest(boxes, order, place, near, squares)
+        for k in range(n_others):
+            other = boxes[near[k]]
+            others[k] = other
+            near_x = abs(other[0] - box[0]) <= _reach(box[2]) + CORE_REACH * other[2] / 2
+            near_y = abs(other[1] - box[1]) <= _reach(box[3]) + CORE_REACH * other[3] / 2
+            touching |= near_x and near_y and _runs_into(crop, FIRST_REGION + region, other)
         if touching:  # they end half way to it
             _compare(crop, box, others[:n_others], beyond, within)
             _leave_to_others(crop, beyond[:n_others], within)

@@ -1,7 +1,9 @@
 """Frames -> detections: what an engine does, and what all engines share."""
 
+import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 import cv2
@@ -133,7 +135,12 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     [cx, cy, w, h] relative to the picture, objectness, class probabilities (YOLOv3, section 2.1).
     """
     rows, columns = raw.shape[2:]
-    likely = np.flatnonzero(raw[:, 4] > logit(threshold))
+    least = logit(threshold)
+    if (loops := compiled()) is not None:
+        whole = np.ascontiguousarray(raw, np.float32)
+        found = loops.decode_head(whole, head.anchors, head.stride, head.scale_x_y, least)
+        return np.asarray(found)
+    likely = np.flatnonzero(raw[:, 4] > least)
     if not len(likely):
         return np.zeros((0, raw.shape[1]), np.float32)
     anchor, cell = np.divmod(likely, rows * columns)
@@ -156,6 +163,9 @@ def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: f
     A score is objectness times the best class's probability; those up to the threshold are dropped,
     then the doubles (`suppress_doubles`).
     """
+    if (loops := compiled()) is not None:
+        whole = np.ascontiguousarray(rows, np.float32)
+        return Detections(*loops.select(whole, width, height, threshold, max_iou))
     scores = rows[:, 4:5] * rows[:, 5:]  # (N, C)
     class_ids = scores.argmax(axis=1)
     best = scores[np.arange(len(scores)), class_ids].astype(np.float64)
@@ -163,3 +173,13 @@ def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: f
     kept = np.flatnonzero((best > threshold) & sized)
     boxes = rows[kept, :4].astype(np.float64) * [width, height, width, height]
     return suppress_doubles(Detections(boxes, best[kept], class_ids[kept]), max_iou)
+
+
+@functools.cache
+def compiled() -> ModuleType | None:
+    """`detector_numba`, which does the same in less time, where Numba is installed."""
+    try:
+        from droptrack import detector_numba
+    except (ImportError, RuntimeError):  # Numba finds no folder to keep what it compiled
+        return None
+    return detector_numba

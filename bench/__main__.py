@@ -77,7 +77,7 @@ def stages(frames: int = 150) -> None:
         detector = choose_detector(Network(cfg, SHIPPED_WEIGHTS, SCORE, MAX_IOU))
         engine = detector.engine
         tracker, _ = make_tracker(TrackerName.droplet, Parameters())
-        recorder = Recorder(tracker.max_age)
+        recorder = Recorder(tracker.delay + tracker.max_age)
         source = Video(str(folder / "video.avi")).numbered()
         # the first of each is slower
         detector.detect([next(source)[1]])
@@ -100,7 +100,7 @@ def stages(frames: int = 150) -> None:
                     centres, measured = centres_of_mass(frame, found.boxes)
                 with measure("write"):
                     recorder.add(index, found, centres, measured, update)
-                    results.take(recorder.take_final(index - tracker.delay))
+                    results.take(recorder.take_final())
     title = f"1200 x 600 px, {DROPLETS} droplets, {engine.name}"
     table = Table("stage", "ms a frame", "%", title=title)
     for stage, seconds in spent.items():

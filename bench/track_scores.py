@@ -35,7 +35,7 @@ class Score:
 
 def follow(tracker: Tracker, frames: Sequence[Detections]) -> tuple[Trajectories, float]:
     """The rows of a tracker, and the median milliseconds it takes for a frame."""
-    recorder = Recorder(tracker.max_age)
+    recorder = Recorder(tracker.delay + tracker.max_age)
     times = []
     for index, found in enumerate(frames):
         looks = describe_sizes(found.boxes)

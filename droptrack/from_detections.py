@@ -61,7 +61,7 @@ def follow_detections(
     `frames`: detections and their rows, as `mot_files.DetectionFile` gives them; `looks`: the unit
     descriptors of rows; without, the detections' sizes.
     """
-    recorder = Recorder(tracker.max_age)
+    recorder = Recorder(tracker.delay + tracker.max_age)
     try:
         for index, (found, rows) in enumerate(frames):
             look = describe_sizes(found.boxes) if looks is None else looks(rows)
@@ -69,7 +69,7 @@ def follow_detections(
             recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
             results.n_frames += 1
             results.n_detections += len(found)
-            results.take(recorder.take_final(index - tracker.delay))
+            results.take(recorder.take_final())
             yield results.n_frames
     finally:
         too_short = results.n_frames < tracker.n_init

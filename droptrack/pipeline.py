@@ -98,7 +98,7 @@ class Follower:
         self, tracker: Tracker, describe: Describe, results: Results, *, live: bool = False
     ) -> None:
         self._tracker, self._describe, self._results = tracker, describe, results
-        self._recorder = Recorder(tracker.max_age)
+        self._recorder = Recorder(tracker.delay + tracker.max_age)
         compiled()  # now, not while the first frame waits
         self._live = live
         self._next: int | None = None
@@ -117,7 +117,7 @@ class Follower:
         results.n_detections += len(detections)
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, self._recorder, tracker.delay)
-        results.take(self._recorder.take_final(index - tracker.delay))
+        results.take(self._recorder.take_final())
 
     def _track(self, index: int, frame: Frame, detections: Detections) -> int:
         """Track and record; returns for how many droplets a centre of mass was measured."""

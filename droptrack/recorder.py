@@ -5,6 +5,8 @@ missed for a while and is the same. So rows are held back for a few frames: thos
 frames are added when it is confirmed, and gaps are bridged when it is seen again.
 """
 
+from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +18,9 @@ from droptrack.tracks import Update
 from droptrack.trajectories import Trajectories
 
 Floats = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+NOBODY = 0  # the identity of rows that do not count
 
 
 class Row(NamedTuple):
@@ -29,6 +34,14 @@ class Row(NamedTuple):
     observed: bool
 
 
+class _Rows(NamedTuple):
+    """Rows of one frame: identities (N,), which may change, and values (N, 8) as of `Row`."""
+
+    ids: Ids
+    values: Floats
+    observed: bool
+
+
 @dataclass(frozen=True)
 class Recorded:
     """M final rows, and whether the position of each (M,) is a measured centre of mass."""
@@ -38,14 +51,18 @@ class Recorded:
 
 
 class Recorder:
-    """Collects rows; `max_age` is the longest gap in frames that the tracker bridges."""
+    """Collects rows; `hold` is the number of later frames that may change them.
 
-    def __init__(self, max_age: int) -> None:
-        self.max_age = max_age
-        self._confirmed: set[int] = set()
-        self._waiting: dict[int, list[tuple[int, Row]]] = {}  # of tracks not yet confirmed
-        self._last: dict[int, tuple[int, Row]] = {}  # where each living track was last seen
-        self._frames: dict[int, list[Row]] = {}
+    These are the tracker's `delay` and its `max_age` together. Frames come in the order of their
+    numbers, some of which a live source leaves out.
+    """
+
+    def __init__(self, hold: int) -> None:
+        self._added: deque[int] = deque(maxlen=hold + 1)  # the last frames
+        self._frames: dict[int, list[_Rows]] = {}
+        self._last: dict[int, int] = {}  # the frame in which each living track was last seen
+        self._confirmed: set[int] = set()  # all of which there are rows
+        self._ended: deque[tuple[int, int]] = deque()  # frames, and tracks that ended in them
 
     def add(
         self,
@@ -57,85 +74,107 @@ class Recorder:
     ) -> None:
         """Take a frame's M detections, their centres (M, 2), those measured (M,), their tracks."""
         values = np.column_stack([centres, detections.boxes, detections.scores, measured])
-        self._frames[frame] = []
-        self._confirmed.update(update.confirmed)
         for young, old in update.joined:
-            self._continue(old, self._waiting.pop(young, []))
-            self._last.pop(young, None)
-        for track_id, row_values in zip(update.track_ids.tolist(), values, strict=True):
-            row = Row(track_id, row_values, observed=True)
+            self._continue(old, young)
+        self._added.append(frame)
+        self._frames[frame] = [_Rows(update.track_ids.copy(), values, observed=True)]
+        self._confirmed.update(update.confirmed)
+        seen = update.track_ids.tolist()
+        for track_id in [one for one in seen if self._last.get(one, frame - 1) < frame - 1]:
             if track_id in self._confirmed:
-                self._bridge(frame, row)
-                self._frames[frame].append(row)
-            else:
-                self._waiting.setdefault(track_id, []).append((frame, row))
-            self._last[track_id] = (frame, row)
-        for track_id in update.confirmed:
-            self._release(track_id)
+                self._bridge(track_id, frame)
+        self._last.update(dict.fromkeys(seen, frame))
         for track_id in update.ended:
-            self._waiting.pop(track_id, None)
             self._last.pop(track_id, None)
-            self._confirmed.discard(track_id)
+            self._ended.append((frame, track_id))
 
     def rows_of(self, frame: int) -> list[Row]:
         """What is known of a frame now; the last few frames may still get rows."""
-        return self._frames.get(frame, [])
+        return [
+            Row(track_id, values, rows.observed)
+            for rows in self._frames.get(frame, [])
+            for track_id, values in zip(rows.ids.tolist(), rows.values, strict=True)
+            if track_id in self._confirmed
+        ]
 
-    def take_final(self, frame: int) -> Recorded:
-        """Rows that nothing in or after `frame` can change any more; they are handed out once."""
-        return self._take([f for f in self._frames if f < frame - self.max_age])
+    def take_final(self) -> Recorded:
+        """Rows that later frames cannot change any more; they are handed out once."""
+        final = self._added[0] if len(self._added) == self._added.maxlen else 0
+        taken = self._take([one for one in self._frames if one < final], self._confirmed)
+        while self._ended and self._ended[0][0] < final:
+            self._confirmed.discard(self._ended.popleft()[1])
+        return taken
 
     def take_rest(self, *, unconfirmed: bool) -> Recorded:
         """All rows left, at the video's end; also those of tracks not yet confirmed if wanted."""
-        for track_id in list(self._waiting) if unconfirmed else []:
-            self._release(track_id)
-        return self._take(list(self._frames))
+        wanted = self._confirmed.union(self._last) if unconfirmed else self._confirmed
+        return self._take(list(self._frames), wanted)
 
-    def _continue(self, track_id: int, rows: list[tuple[int, Row]]) -> None:
+    def _continue(self, old: int, young: int) -> None:
         """Give a track the rows of another; where it has one of its own, the larger box counts."""
-        for frame, row in rows:
-            mine = row._replace(track_id=track_id)
-            if frame > self._last[track_id][0]:
-                self._bridge(frame, mine)
-                self._frames.setdefault(frame, []).append(mine)
-                self._last[track_id] = (frame, mine)
-            else:
-                self._frames[frame] = [
-                    mine if other.track_id == track_id and _area(mine) > _area(other) else other
-                    for other in self._frames.get(frame, [])
-                ]
+        self._last.pop(young, None)
+        for frame in list(self._frames):
+            new, own = self._row_of(young, frame), self._row_of(old, frame)
+            if new is None:
+                continue
+            rows, place = new
+            rows.ids[place] = old
+            if own is not None:
+                smaller, at = own if _area(new) > _area(own) else new
+                smaller.ids[at] = NOBODY
+            elif frame > self._last[old]:
+                self._bridge(old, frame)
+                self._last[old] = frame
 
-    def _bridge(self, frame: int, row: Row) -> None:
+    def _bridge(self, track_id: int, frame: int) -> None:
         """Fill the frames since the track was last seen, on a straight line, with score 0."""
-        last = self._last.get(row.track_id)
-        if last is None:
-            return
-        start, before = last
+        start = self._last[track_id]
+        before, now = self._values_of(track_id, start), self._values_of(track_id, frame)
         for between in range(start + 1, frame):
             share = (between - start) / (frame - start)
-            values = (1 - share) * before.values + share * row.values
+            values = (1 - share) * before + share * now
             values[6:] = 0
-            self._frames.setdefault(between, []).append(Row(row.track_id, values, observed=False))
+            bridge = _Rows(np.array([track_id]), values[None], observed=False)
+            self._frames.setdefault(between, []).append(bridge)
 
-    def _release(self, track_id: int) -> None:
-        for frame, row in self._waiting.pop(track_id, []):
-            self._frames.setdefault(frame, []).append(row)
+    def _row_of(self, track_id: int, frame: int) -> "tuple[_Rows, int] | None":
+        """Where the row of a track is."""
+        for rows in self._frames[frame]:
+            places = np.flatnonzero(rows.ids == track_id)
+            if len(places):
+                return rows, int(places[0])
+        return None
 
-    def _take(self, frames: list[int]) -> Recorded:
-        taken = [(frame, row) for frame in frames for row in self._frames.pop(frame)]
-        taken.sort(key=lambda pair: (pair[0], pair[1].track_id))
-        values = np.array([row.values for _, row in taken]).reshape(-1, 8)
+    def _values_of(self, track_id: int, frame: int) -> Floats:
+        found = self._row_of(track_id, frame)
+        assert found is not None
+        rows, place = found
+        return np.asarray(rows.values[place])
+
+    def _take(self, frames: Iterable[int], wanted: set[int]) -> Recorded:
+        """Hand out the rows of some tracks."""
+        taken = [(0, _Rows(np.zeros(0, np.int64), np.zeros((0, 8)), observed=True))]
+        taken += [(frame, rows) for frame in frames for rows in self._frames.pop(frame)]
+        counts = [len(rows.ids) for _, rows in taken]
+        frame = np.repeat([frame for frame, _ in taken], counts)
+        ids = np.concatenate([rows.ids for _, rows in taken])
+        values = np.concatenate([rows.values for _, rows in taken])
+        observed = np.repeat([rows.observed for _, rows in taken], counts)
+        order = np.lexsort((ids, frame))
+        order = order[[track_id in wanted for track_id in ids[order].tolist()]]
+        values = values[order]
         rows = Trajectories(
-            np.array([frame for frame, _ in taken], np.int64),
-            np.array([row.track_id for _, row in taken], np.int64),
+            frame[order],
+            ids[order],
             values[:, 0],
             values[:, 1],
             values[:, 2:6],
             values[:, 6],
-            np.array([row.observed for _, row in taken], bool),
+            observed[order],
         )
         return Recorded(rows, values[:, 7] > 0)
 
 
-def _area(row: Row) -> float:
-    return float(row.values[4] * row.values[5])
+def _area(row: tuple[_Rows, int]) -> float:
+    rows, place = row
+    return float(rows.values[place, 4] * rows.values[place, 5])

@@ -105,7 +105,7 @@ def test_in_a_constriction_nobody_is_mixed_up_missed_or_made_up(seed: int) -> No
     """19 droplets, 155 frames; DeepSORT has 3, 0, 1, 1 switches and 40, 0, 4, 4 false ones."""
     frames, truth = load(seed)
     tracker = DropletTracker(DropletParameters())
-    recorder = Recorder(tracker.max_age)
+    recorder = Recorder(tracker.delay + tracker.max_age)
     for number, (found, centres) in enumerate(frames):
         update = tracker.update(found.boxes, np.zeros((len(found), 0)))
         recorder.add(number, found, centres, np.ones(len(found), bool), update)
@@ -196,15 +196,15 @@ def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
 def test_finished_tracks_leave_the_memory() -> None:
     """600 droplets come and go in 1,500 frames; never are more than the last few dozen held."""
     tracker = DropletTracker(DropletParameters())
-    recorder, held = Recorder(tracker.max_age), []
+    recorder, held = Recorder(tracker.delay + tracker.max_age), []
     for t in range(1500):
         x = np.arange(t % 5 * 10.0, 200, 50)
         boxes = np.column_stack([x, np.full_like(x, 40), np.full((len(x), 2), 20.0)])
         update = tracker.update(boxes, np.zeros((len(x), 0)))
         found = Detections(boxes, np.ones(len(x)), np.zeros(len(x), np.int64))
         recorder.add(t, found, boxes[:, :2], np.zeros(len(x), bool), update)
-        recorder.take_final(t - tracker.delay)
-        kept = len(recorder._frames) + len(recorder._last) + len(recorder._waiting)
+        recorder.take_final()
+        kept = len(recorder._frames) + len(recorder._last) + len(recorder._ended)
         held.append(len(tracker.tracks.ids) + kept + len(recorder._confirmed))
     assert int(update.track_ids.max()) > 250
     assert max(held[100:200]) >= max(held[200:])

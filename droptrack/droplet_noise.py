@@ -6,6 +6,7 @@ that alternate of noise in the detections.
 """
 
 from dataclasses import dataclass
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,19 +41,21 @@ class Noise:
         and height.
         """
         square = squares(innovation)
-        size = median(square / (variance + self.centre**2)) / (2 * np.log(2))
-        power = np.minimum(square, 1).mean()
-        memory = np.clip((innovation * before).sum(axis=1), -1, 1).mean() / max(power, 1e-12)
+        size = median(square / (variance + self.centre**2)) / (2 * log(2))
+        power = float(np.minimum(square, 1).sum())
+        (x, y), (x_before, y_before) = innovation.T, before.T
+        agreement = np.minimum(np.maximum(x * x_before + y * y_before, -1), 1)
+        memory = float(agreement.sum()) / max(power, 1e-12 * len(square))
         self.lessons += 1
         weight = max(LEARNING, 1 / (1 + self.lessons)) * min(1.0, len(innovation) / 10)
-        grow = weight * _within(np.log(max(size, 1e-6)), (-2, 2)) / 2
+        grow = weight * _within(log(max(size, 1e-6)), (-2, 2)) / 2
         turn = weight * _within(memory, (-1, 1)) / 2
-        change_size = median(squares(change)) / (2 * np.log(2))
-        ratio = np.log(max(change_size, 1e-6) / self.size**2) / 2
+        change_size = median(squares(change)) / (2 * log(2))
+        ratio = log(max(change_size, 1e-6) / self.size**2) / 2
         more = weight * _within(ratio, (-1, 1))
-        self.size = _within(self.size * np.exp(more), SIZE_NOISE_RANGE)
-        self.centre = _within(self.centre * np.exp(grow - turn), NOISE_RANGE)
-        self.acceleration = _within(self.acceleration * np.exp(grow + turn), ACCELERATION_RANGE)
+        self.size = _within(self.size * exp(more), SIZE_NOISE_RANGE)
+        self.centre = _within(self.centre * exp(grow - turn), NOISE_RANGE)
+        self.acceleration = _within(self.acceleration * exp(grow + turn), ACCELERATION_RANGE)
 
     def learn_false(self, density: float) -> None:
         """Learn from a frame's false boxes a squared diameter."""

@@ -6,6 +6,7 @@ tracks for what is left. A droplet lost for some frames is looked for again from
 """
 
 from dataclasses import dataclass
+from math import log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,11 +167,9 @@ class DropletTracker:
         rarity, rarity_wrong = 2 * np.log(2 * np.pi * spread), 2 * np.log(2 * np.pi * wide)
         narrow, broad = self.noise.size**2, self.noise.size**2 + WRONG_SIZE**2
         same_size, wrong_size = (
-            (2 * np.log(narrow / ANY_SIZE**2), 2 * np.log(broad / ANY_SIZE**2))
-            if p.size
-            else (0, 0)
+            (2 * log(narrow / ANY_SIZE**2), 2 * log(broad / ANY_SIZE**2)) if p.size else (0.0, 0.0)
         )
-        most = MISS_COST - 2 * float(np.log(self.noise.false_density / FEWEST_FALSE))
+        most = MISS_COST - 2 * log(self.noise.false_density / FEWEST_FALSE)
         # what is further away costs more than `most`, whatever its size and its looks
         square = np.maximum(
             spread * (most - rarity - same_size),
@@ -200,6 +199,8 @@ class DropletTracker:
         choose = assign_sparse if p.jointly else take_in_turn
         rows, columns, cost = rows[good], columns[good], cost[good]
         chosen, taken = choose(rows, columns, cost, most)
+        if len(chosen) == len(rows):  # there was no choice
+            return rows, columns, most - cost
         pairs, wanted = rows * len(boxes) + columns, chosen * len(boxes) + taken
         order = np.argsort(pairs)
         at = order[np.searchsorted(pairs, wanted, sorter=order)]
@@ -379,11 +380,13 @@ class DropletTracker:
         tracks = self.tracks
         lost = tracks.missed > np.where(tracks.confirmed, self.parameters.max_age, 1)
         lost |= ~tracks.confirmed & (tracks.frames > SECOND_BOX_FRAMES + 1)
+        n_false = np.count_nonzero(lost & ~tracks.confirmed)
         if self.parameters.learn_noise and tracks.confirmed.any():
-            seen = tracks.seen[tracks.confirmed]
-            area = np.ptp(seen, axis=0).prod() / median(tracks.diameters) ** 2
-            density = np.count_nonzero(lost & ~tracks.confirmed) / max(float(area), 1.0)
-            self.noise.learn_false(density)
+            area = 1.0
+            if n_false:
+                span = np.ptp(tracks.seen[tracks.confirmed], axis=0)
+                area = max(area, float(span.prod()) / median(tracks.diameters) ** 2)
+            self.noise.learn_false(n_false / area)
         if not lost.any():
             return ()
         self.tracks = tracks[~lost]

@@ -176,15 +176,11 @@ class DropletTracker:
             wide * (most - rarity_wrong - JUMP_COST - wrong_size),
         )
         reach = np.minimum(p.max_step, np.sqrt(np.maximum(square, 0)) * (1 + 1e-9)) * diameters
-        k = min(CANDIDATES, len(boxes))
-        tree = cKDTree(boxes[:, :2])
-        distance, near = flow.nearest(
-            tree, tracks.state.position, k, float(reach.max()) * (1 + 1e-9)
-        )
         recent = tracks.missed <= (p.short_gap + 1 if p.both_ways else p.max_age)
-        rows, place = np.nonzero((distance <= reach[:, None]) & recent[:, None])
-        columns = near[rows, place]
-        square = (distance[rows, place] / diameters[rows]) ** 2
+        rows, columns, distance = flow.nearest_within(
+            tracks.state.position, np.where(recent, reach, -1), boxes[:, :2], CANDIDATES
+        )
+        square = (distance / diameters[rows]) ** 2
         cost = square / spread[rows] + rarity[rows]
         wrong = square / wide[rows] + rarity_wrong[rows] + JUMP_COST
         if p.size:
@@ -309,9 +305,12 @@ class DropletTracker:
         if not self.parameters.both_ways:
             return ()
         tracks = self.tracks
-        lost, ripe = tracks.confirmed & (tracks.missed > 0), self._ripe() & (tracks.second_of == 0)
+        lost = tracks.confirmed & (tracks.missed > 0)
+        if not lost.any():
+            return ()
+        ripe = self._ripe() & (tracks.second_of == 0)
         second = ~tracks.confirmed & (tracks.missed == 0) & (tracks.second_of > 0)
-        if not lost.any() or not (ripe | second).any():
+        if not (ripe | second).any():
             return ()
         pairs: list[tuple[int, int]] = []
         # the other box of a droplet that had two is the one that is left
@@ -367,6 +366,8 @@ class DropletTracker:
     def _confirm(self) -> tuple[int, ...]:
         """New tracks that are droplets from now on."""
         tracks = self.tracks
+        if tracks.confirmed.all():
+            return ()
         rows = np.flatnonzero(self._ripe())
         if not len(rows):
             return ()

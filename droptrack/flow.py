@@ -18,6 +18,7 @@ REACH = 6.0  # diameters within which droplets are neighbours
 CANDIDATES = 24  # places in the next frame that a droplet may have moved to
 MATCH = 0.12  # diameters by which a neighbour may deviate from the pattern,
 MATCH_OF_STEP = 0.06  # and of the displacement's length
+FEW_PAIRS = 6000  # for which a tree of the points takes longer than all their distances
 CHUNK = 2000  # droplets whose candidates are judged at once
 
 
@@ -28,6 +29,26 @@ def nearest(tree: cKDTree, points: Floats, k: int, reach: float = np.inf) -> tup
     """
     distance, rows = tree.query(points, range(1, k + 1), distance_upper_bound=reach)
     return np.asarray(distance), np.asarray(rows, np.int64)
+
+
+def nearest_within(
+    points: Floats, reach: Floats, others: Floats, k: int
+) -> tuple[Rows, Rows, Floats]:
+    """Pairs of points (N, 2) and the k nearest others (M, 2) within `reach` (N,); none below 0.
+
+    Rows of points, rising, rows of others, and distances (P,) of each pair.
+    """
+    if len(points) * len(others) <= FEW_PAIRS:
+        x, y = points[:, :1] - others[:, 0], points[:, 1:] - others[:, 1]
+        square = x * x + y * y
+        near = square <= (reach * np.abs(reach))[:, None]
+        if near.sum(axis=1).max(initial=0) <= k:
+            rows, columns = np.nonzero(near)
+            return rows, columns, np.sqrt(square[rows, columns])
+    k = min(k, len(others))
+    distance, found = nearest(cKDTree(others), points, k, float(reach.max()) * (1 + 1e-9))
+    rows, place = np.nonzero(distance <= reach[:, None])
+    return rows, found[rows, place], distance[rows, place]
 
 
 def velocity_of_neighbours(

@@ -22,7 +22,7 @@ Frame = NDArray[np.uint8]
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"}
 DEFAULT_FPS = 25.0  # of sources that do not say
 GREY = 4  # levels that the colours of a grey frame may differ by, from a codec's rounding
-LOOK_FOR_COLOUR = 10  # frames from one look to the next, in Motion JPEG
+LOOK_FOR_COLOUR = 25  # frames from one look to the next, in Motion JPEG
 MOST_DAMAGED = 10_000  # frames one after the other that cannot be decoded, before the end is
 STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 

@@ -1,4 +1,8 @@
-"""Maps to boxes, compiled: what detector.py says of arrays, in loops."""
+"""Maps to boxes, compiled: what detector.py and detections.py say of arrays, in loops.
+
+Numba keeps what it compiled until this file changes: after a change of a constant in detections.py,
+touch it.
+"""
 
 from typing import Any
 
@@ -6,7 +10,11 @@ import numpy as np
 from numba import njit, types
 from numpy.typing import NDArray
 
+from droptrack.detections import LEAST_OF_SCORE, OUTSIDE
+
 Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 
 FAST: dict[str, Any] = {"error_model": "numpy", "cache": True, "nogil": True}
@@ -15,15 +23,68 @@ _FLOATS = types.float64[:, ::1]
 
 
 @njit(**FAST)
-def _overlap(boxes: Floats, i: int, k: int) -> float:
-    """Intersection over union of two boxes."""
+def _intersection(boxes: Floats, i: int, k: int) -> float:
+    """Area that two boxes share."""
     common = 1.0
     for x, w in ((0, 2), (1, 3)):
         low = max(boxes[i, x] - boxes[i, w] / 2, boxes[k, x] - boxes[k, w] / 2)
         high = min(boxes[i, x] + boxes[i, w] / 2, boxes[k, x] + boxes[k, w] / 2)
         common *= max(high - low, 0.0)
-    both = boxes[i, 2] * boxes[i, 3] + boxes[k, 2] * boxes[k, 3]
-    return float(common / (both - common))
+    return common
+
+
+@njit(**FAST)
+def _overlap(boxes: Floats, i: int, k: int) -> float:
+    """Intersection over union of two boxes."""
+    common = _intersection(boxes, i, k)
+    return float(common / (boxes[i, 2] * boxes[i, 3] + boxes[k, 2] * boxes[k, 3] - common))
+
+
+@njit(**FAST)
+def _suppress(
+    boxes: Floats, class_ids: Rows, order: Rows, max_iou: float, dropped: Bools, best: Rows
+) -> None:
+    """Put into `best` (N,) the first in order that each box is a double of, or itself.
+
+    Boxes are gone through in `order`, without those that were dropped.
+    """
+    kept = np.empty(len(order), np.int64)
+    n_kept = 0
+    for i in order:
+        best[i] = i
+        if dropped[i]:
+            continue
+        for k in kept[:n_kept]:
+            apart = abs(boxes[k, 0] - boxes[i, 0]) >= (boxes[k, 2] + boxes[i, 2]) / 2
+            if not apart and class_ids[k] == class_ids[i] and _overlap(boxes, k, i) > max_iou:
+                best[i] = k
+                break
+        if best[i] == i:
+            kept[n_kept] = i
+            n_kept += 1
+
+
+@njit(**FAST)
+def _drop_between(
+    boxes: Floats, scores: Floats, max_iou: float, dropped: Bools, best: Rows
+) -> bool:
+    """Drop the boxes that stand where two others should: `detections.boxes_between`."""
+    beside = np.empty(len(boxes), np.int64)
+    n, found = 0, False
+    for b in range(len(boxes)):
+        m = best[b]
+        least = LEAST_OF_SCORE * scores[m]
+        inside = _intersection(boxes, b, m) / (boxes[b, 2] * boxes[b, 3])
+        if dropped[b] or m == b or scores[b] < least or 1 - inside <= OUTSIDE:
+            continue
+        for a in beside[:n]:
+            if best[a] == m and _overlap(boxes, a, b) <= max_iou:
+                x, y = boxes[a, 0] - boxes[m, 0], boxes[a, 1] - boxes[m, 1]
+                if x * (boxes[b, 0] - boxes[m, 0]) + y * (boxes[b, 1] - boxes[m, 1]) < 0:
+                    dropped[m] = found = True
+        beside[n] = b
+        n += 1
+    return found
 
 
 # compiled when they are imported, not at the first frame
@@ -60,30 +121,28 @@ def decode_head(
 @njit((_ROWS, types.int64, types.int64, types.float64, types.float64), **FAST)
 def select(
     rows: Float32s, width: int, height: int, threshold: float, max_iou: float
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
+) -> tuple[Floats, Floats, Rows]:
     """`detector.select`: boxes (K, 4) px, scores (K,) and classes (K,), the best first."""
     boxes = np.empty((len(rows), 4))
     scores, class_ids = np.empty(len(rows)), np.empty(len(rows), np.int64)
     n, last = 0, rows.shape[1]
     for row in range(len(rows)):
-        best = 5
+        likeliest = 5
         finite = True
         for k in range(last):
             finite &= np.isfinite(rows[row, k])
-            best = k if k > 5 and rows[row, k] > rows[row, best] else best
-        score = np.float64(rows[row, 4] * rows[row, best])
+            likeliest = k if k > 5 and rows[row, k] > rows[row, likeliest] else likeliest
+        score = np.float64(rows[row, 4] * rows[row, likeliest])
         if finite and score > threshold and rows[row, 2] > 0 and rows[row, 3] > 0:
             for k, size in ((0, width), (1, height), (2, width), (3, height)):
                 boxes[n, k] = rows[row, k] * np.float64(size)
-            scores[n], class_ids[n] = score, best - 5
+            scores[n], class_ids[n] = score, likeliest - 5
             n += 1
-    kept = np.empty(n, np.int64)
-    n_kept = 0
-    for i in np.argsort(-scores[:n], kind="mergesort"):
-        double = False
-        for k in kept[:n_kept]:
-            double |= class_ids[k] == class_ids[i] and _overlap(boxes, k, i) > max_iou
-        if not double:
-            kept[n_kept] = i
-            n_kept += 1
-    return boxes[kept[:n_kept]], scores[kept[:n_kept]], class_ids[kept[:n_kept]]
+    boxes, scores, class_ids = boxes[:n], scores[:n], class_ids[:n]
+    order, best = np.argsort(-scores, kind="mergesort"), np.empty(n, np.int64)
+    dropped = np.zeros(n, np.bool_)
+    _suppress(boxes, class_ids, order, max_iou, dropped, best)
+    while _drop_between(boxes, scores, max_iou, dropped, best):
+        _suppress(boxes, class_ids, order, max_iou, dropped, best)
+    kept = order[(best[order] == order) & ~dropped[order]]
+    return boxes[kept], scores[kept], class_ids[kept]

@@ -39,6 +39,31 @@ def test_doubles_of_other_classes_are_kept() -> None:
     assert len(suppress_doubles(found, 0.45)) == 2
 
 
+def test_two_droplets_that_touch_are_kept_rather_than_a_box_between_them() -> None:
+    """What a network saw in a simulated constriction; the best box is on neither droplet."""
+    boxes = np.array(
+        [[349.9, 246.8, 37.8, 41.3], [338.3, 256.1, 35.5, 37.5], [355.9, 238.9, 34.4, 42.1]]
+    )
+    found = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.zeros(3, np.int64))
+    assert suppress_doubles(found, 0.3).boxes.tolist() == boxes[1:].tolist()
+    unlikely = Detections(boxes, np.array([0.993, 0.99, 0.4]), np.zeros(3, np.int64))
+    assert suppress_doubles(unlikely, 0.3).boxes.tolist() == boxes[:1].tolist()
+    others = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.array([0, 0, 1]))
+    assert len(suppress_doubles(others, 0.3)) == 2
+
+
+def test_a_droplet_is_kept_rather_than_its_two_halves() -> None:
+    boxes = np.array([[50.0, 50, 80, 80], [28.0, 50, 40, 78], [72.0, 50, 40, 78]])
+    found = Detections(boxes, np.array([0.9, 0.89, 0.88]), np.zeros(3, np.int64))
+    assert suppress_doubles(found, 0.3).boxes.tolist() == boxes[:1].tolist()
+
+
+def test_a_droplet_is_kept_rather_than_two_boxes_beside_it_on_one_side() -> None:
+    boxes = np.array([[50.0, 50, 40, 40], [66.0, 36, 40, 40], [66.0, 64, 40, 40]])
+    found = Detections(boxes, np.array([0.9, 0.89, 0.88]), np.zeros(3, np.int64))
+    assert suppress_doubles(found, 0.2).boxes.tolist() == boxes[:1].tolist()
+
+
 def test_thousands_of_droplets_are_not_capped() -> None:
     x, y = np.meshgrid(np.arange(100) * 10.0, np.arange(50) * 10.0)
     boxes = np.column_stack([x.ravel(), y.ravel(), np.full(5000, 9.0), np.full(5000, 9.0)])

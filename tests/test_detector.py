@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from droptrack import detector
+from droptrack import detections, detector
 from droptrack.darknet_files import YoloHead
 from droptrack.detector import decode_head, select
 
@@ -79,3 +79,26 @@ def test_compiled_loops_find_what_arrays_find(seed: int, monkeypatch: pytest.Mon
     assert found.boxes.tolist() == expected.boxes.tolist()
     assert found.scores.tolist() == expected.scores.tolist()
     assert found.class_ids.tolist() == expected.class_ids.tolist()
+
+
+def test_compiled_loops_keep_the_boxes_that_arrays_keep_in_a_crowd(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("numba")
+    n_between = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        n, reach, classes = rng.integers([2, 60, 1], [120, 500, 3])
+        places, sizes = rng.uniform(0, reach, (n, 2)), rng.uniform(20, 60, (n, 2))
+        scores = rng.uniform(0.3, 1, (n, 1 + classes))
+        rows = np.hstack([places / 600, sizes / 600, scores]).astype(np.float32)
+        found = select(rows, 600, 600, 0.1, 0.3)
+        with monkeypatch.context() as arrays:
+            arrays.setattr(detector, "compiled", lambda: None)
+            expected = select(rows, 600, 600, 0.1, 0.3)
+            arrays.setattr(detections, "boxes_between", lambda *_: np.zeros(0, np.int64))
+            n_between += len(select(rows, 600, 600, 0.1, 0.3)) != len(expected)
+        assert found.boxes.tolist() == expected.boxes.tolist()
+        assert found.scores.tolist() == expected.scores.tolist()
+        assert found.class_ids.tolist() == expected.class_ids.tolist()
+    assert n_between > 20

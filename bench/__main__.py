@@ -19,8 +19,9 @@ from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
 from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes import SCENES
 from droptrack.appearance import describe_nothing
-from droptrack.centroid import centres_of_mass, compiled
+from droptrack.centroid import centres_of_mass
 from droptrack.command_line import new_app, progress_bar
+from droptrack.compiled import compiled
 from droptrack.darknet_files import read_cfg
 from droptrack.deepsort import Parameters
 from droptrack.detections import Detections, labels
@@ -81,7 +82,7 @@ def stages(frames: int = 150) -> None:
         source = Video(str(folder / "video.avi")).numbered()
         # the first of each is slower
         detector.detect([next(source)[1]])
-        compiled()
+        compiled("centroid")
         with TrajectoryWriter(folder / "trajectories.csv", {}, FURTHER_COLUMNS) as rows:
             results = Results(rows)
             for _ in range(frames):

@@ -8,8 +8,7 @@ rim of an empty pixel, so that all of them are one picture, one below the other,
 pixels are shifts in memory.
 """
 
-import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from droptrack.compiled import compiled
 from droptrack.video import Frame, grey_plane
 
 Floats = NDArray[np.float64]
@@ -92,8 +92,8 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
     plane = grey_plane(frame)
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane
     grey, boxes = np.ascontiguousarray(grey, np.uint8), np.ascontiguousarray(boxes)
-    if (measure := compiled()) is not None:
-        measure(grey, boxes, centres, measured)
+    if (loops := compiled("centroid")) is not None:
+        loops.measure(grey, boxes, centres, measured)
         return centres, measured
     height, width = grey.shape
     reach = boxes[:, 2:] * (0.5 + MARGIN) + EDGE_PX
@@ -114,16 +114,6 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
         centres[rows[good]] = centre[good]
         measured[rows[good]] = True
     return centres, measured
-
-
-@functools.cache
-def compiled() -> Callable[..., None] | None:
-    """`centroid_numba.measure`, which does the same in less time, where Numba is installed."""
-    try:
-        from droptrack.centroid_numba import measure
-    except (ImportError, RuntimeError):  # Numba finds no folder to keep what it compiled
-        return None
-    return measure
 
 
 def _groups(rows: Rows, sides: Rows) -> Iterator[Rows]:

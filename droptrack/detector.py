@@ -1,9 +1,7 @@
 """Frames -> detections: what an engine does, and what all engines share."""
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from types import ModuleType
 from typing import Any, NamedTuple, Protocol
 
 import cv2
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from droptrack import DroptrackError
+from droptrack.compiled import compiled
 from droptrack.darknet_files import YoloHead
 from droptrack.detections import Detections, suppress_doubles
 from droptrack.stage_times import StageTimes
@@ -136,7 +135,7 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     """
     rows, columns = raw.shape[2:]
     least = logit(threshold)
-    if (loops := compiled()) is not None:
+    if (loops := compiled("detector")) is not None:
         whole = np.ascontiguousarray(raw, np.float32)
         found = loops.decode_head(whole, head.anchors, head.stride, head.scale_x_y, least)
         return np.asarray(found)
@@ -163,7 +162,7 @@ def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: f
     A score is objectness times the best class's probability; those up to the threshold are dropped,
     then the doubles (`suppress_doubles`).
     """
-    if (loops := compiled()) is not None:
+    if (loops := compiled("detector")) is not None:
         whole = np.ascontiguousarray(rows, np.float32)
         return Detections(*loops.select(whole, width, height, threshold, max_iou))
     scores = rows[:, 4:5] * rows[:, 5:]  # (N, C)
@@ -173,13 +172,3 @@ def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: f
     kept = np.flatnonzero((best > threshold) & sized)
     boxes = rows[kept, :4].astype(np.float64) * [width, height, width, height]
     return suppress_doubles(Detections(boxes, best[kept], class_ids[kept]), max_iou)
-
-
-@functools.cache
-def compiled() -> ModuleType | None:
-    """`detector_numba`, which does the same in less time, where Numba is installed."""
-    try:
-        from droptrack import detector_numba
-    except (ImportError, RuntimeError):  # Numba finds no folder to keep what it compiled
-        return None
-    return detector_numba

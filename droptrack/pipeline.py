@@ -14,7 +14,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.centroid import centres_of_mass, compiled
+from droptrack.centroid import centres_of_mass
+from droptrack.compiled import compiled
 from droptrack.detections import Detections
 from droptrack.detector import Detector
 from droptrack.paths import Paths
@@ -99,7 +100,7 @@ class Follower:
     ) -> None:
         self._tracker, self._describe, self._results = tracker, describe, results
         self._recorder = Recorder(tracker.delay + tracker.max_age)
-        compiled()  # now, not while the first frame waits
+        compiled("centroid")  # now, not while the first frame waits
         self._live = live
         self._next: int | None = None
 

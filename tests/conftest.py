@@ -1,5 +1,7 @@
-"""Short videos with their truth, made once."""
+"""Short videos with their truth, made once; loops and the arrays that they stand for."""
 
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +11,39 @@ from typer.testing import CliRunner
 
 from data_gen.droplets import BLACK, WHITE, draw_contour, draw_ellipses
 from data_gen.simulate import app as simulate
+from droptrack import centroid, detector
+from droptrack.compiled import compiled
 from droptrack.trajectories import sorted_trajectories, write_trajectories
 from droptrack.video import VideoInfo, VideoWriter
+
+
+@pytest.fixture
+def arrays(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextManager[None]]:
+    """Within, nothing is done in compiled loops, as where Numba is not installed."""
+
+    @contextmanager
+    def without_loops() -> Iterator[None]:
+        with monkeypatch.context() as patch:
+            for module in (centroid, detector):
+                patch.setattr(module, "compiled", lambda _: None)
+            yield
+
+    return without_loops
+
+
+@pytest.fixture(params=["arrays", "compiled"])
+def implementation(
+    request: pytest.FixtureRequest, arrays: Callable[[], AbstractContextManager[None]]
+) -> Iterator[None]:
+    """In arrays, and in compiled loops."""
+    if request.param == "arrays":
+        with arrays():
+            yield
+    else:
+        pytest.importorskip("numba")
+        assert compiled("centroid") is not None
+        assert compiled("detector") is not None
+        yield
 
 
 @pytest.fixture(scope="session")

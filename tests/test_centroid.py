@@ -1,5 +1,8 @@
 """Centres of mass of droplets drawn where the numbers say."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
 import cv2
 import numpy as np
 import pytest
@@ -7,21 +10,13 @@ from numpy.typing import NDArray
 
 from data_gen.droplets import BLACK, WHITE, draw_contour, draw_ellipses, ellipse_boxes
 from data_gen.scenes import SCENES
-from droptrack import centroid
 from droptrack.centroid import centres_of_mass
 from droptrack.flaws import photographed
 
 Floats = NDArray[np.float64]
 
 
-@pytest.fixture(params=["arrays", "compiled"], autouse=True)
-def implementation(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every test on both."""
-    if request.param == "arrays":
-        monkeypatch.setattr(centroid, "compiled", lambda: None)
-    else:
-        pytest.importorskip("numba")
-        assert centroid.compiled() is not None
+pytestmark = pytest.mark.usefixtures("implementation")
 
 
 def frame_of(canvas: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -162,7 +157,7 @@ def test_beyond_the_frame_there_is_no_surrounding() -> None:
 
 @pytest.mark.parametrize("kind", ["a", "b", "c", "d"])
 def test_compiled_loops_do_the_same_as_arrays_to_the_last_bit(
-    kind: str, monkeypatch: pytest.MonkeyPatch
+    kind: str, arrays: Callable[[], AbstractContextManager[None]]
 ) -> None:
     n = 0
     for seed in range(12):
@@ -172,8 +167,7 @@ def test_compiled_loops_do_the_same_as_arrays_to_the_last_bit(
         boxes = shaken(rng, scene.boxes) * [1, 1, *rng.choice([0.8, 1, 1.2], 2)]
         boxes = np.concatenate([boxes, wrong(rng, scene.boxes)])
         centres, measured = centres_of_mass(frame_of(image), boxes)
-        with monkeypatch.context() as arrays:
-            arrays.setattr(centroid, "compiled", lambda: None)
+        with arrays():
             expected, expected_measured = centres_of_mass(frame_of(image), boxes)
         assert (centres == expected).all()
         assert (measured == expected_measured).all()

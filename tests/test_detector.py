@@ -1,23 +1,17 @@
 """Maps of logits to boxes: by hand, and compiled loops against arrays."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from droptrack import detections, detector
+from droptrack import detections
 from droptrack.darknet_files import YoloHead
 from droptrack.detector import decode_head, select
 
 Float32s = NDArray[np.float32]
-
-
-@pytest.fixture(params=["arrays", "compiled"])
-def implementation(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "arrays":
-        monkeypatch.setattr(detector, "compiled", lambda: None)
-    else:
-        pytest.importorskip("numba")
-        assert detector.compiled() is not None
 
 
 def head_of(anchors: list[list[float]], classes: int, stride: int, scale: float) -> YoloHead:
@@ -58,7 +52,9 @@ def test_the_best_of_those_that_overlap_is_kept_in_each_class() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_compiled_loops_find_what_arrays_find(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_loops_find_what_arrays_find(
+    seed: int, arrays: Callable[[], AbstractContextManager[None]]
+) -> None:
     pytest.importorskip("numba")
     rng = np.random.default_rng(seed)
     n_anchors, classes, n_rows, n_columns = rng.integers([1, 1, 2, 2], [4, 4, 40, 40])
@@ -72,9 +68,9 @@ def test_compiled_loops_find_what_arrays_find(seed: int, monkeypatch: pytest.Mon
     threshold = float(rng.choice([0.005, 0.25, 0.9]))
     rows = decode_head(raw, head, threshold)
     found = select(rows, 1200, 600, threshold, 0.45)
-    monkeypatch.setattr(detector, "compiled", lambda: None)
-    np.testing.assert_allclose(rows, decode_head(raw, head, threshold), rtol=3e-6, atol=1e-6)
-    expected = select(rows, 1200, 600, threshold, 0.45)
+    with arrays():
+        np.testing.assert_allclose(rows, decode_head(raw, head, threshold), rtol=3e-6, atol=1e-6)
+        expected = select(rows, 1200, 600, threshold, 0.45)
     assert 0 < len(expected) < len(rows)
     assert found.boxes.tolist() == expected.boxes.tolist()
     assert found.scores.tolist() == expected.scores.tolist()
@@ -82,7 +78,7 @@ def test_compiled_loops_find_what_arrays_find(seed: int, monkeypatch: pytest.Mon
 
 
 def test_compiled_loops_keep_the_boxes_that_arrays_keep_in_a_crowd(
-    monkeypatch: pytest.MonkeyPatch,
+    arrays: Callable[[], AbstractContextManager[None]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("numba")
     n_between = 0
@@ -93,10 +89,10 @@ def test_compiled_loops_keep_the_boxes_that_arrays_keep_in_a_crowd(
         scores = rng.uniform(0.3, 1, (n, 1 + classes))
         rows = np.hstack([places / 600, sizes / 600, scores]).astype(np.float32)
         found = select(rows, 600, 600, 0.1, 0.3)
-        with monkeypatch.context() as arrays:
-            arrays.setattr(detector, "compiled", lambda: None)
+        with arrays():
             expected = select(rows, 600, 600, 0.1, 0.3)
-            arrays.setattr(detections, "boxes_between", lambda *_: np.zeros(0, np.int64))
+        with arrays(), monkeypatch.context() as greedy:
+            greedy.setattr(detections, "boxes_between", lambda *_: np.zeros(0, np.int64))
             n_between += len(select(rows, 600, 600, 0.1, 0.3)) != len(expected)
         assert found.boxes.tolist() == expected.boxes.tolist()
         assert found.scores.tolist() == expected.scores.tolist()

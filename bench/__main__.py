@@ -101,7 +101,8 @@ def stages(frames: int = 150) -> None:
                     centres, measured = centres_of_mass(frame, found.boxes)
                 with measure("write"):
                     recorder.add(index, found, centres, measured, update)
-                    results.take(recorder.take_final())
+                    results.n_frames += 1
+                    results.take_final(recorder)
     title = f"1200 x 600 px, {DROPLETS} droplets, {engine.name}"
     table = Table("stage", "ms a frame", "%", title=title)
     for stage, seconds in spent.items():

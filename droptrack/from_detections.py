@@ -69,11 +69,11 @@ def follow_detections(
             recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
             results.n_frames += 1
             results.n_detections += len(found)
-            results.take(recorder.take_final())
+            results.take_final(recorder)
             yield results.n_frames
     finally:
         too_short = results.n_frames < tracker.n_init
-        results.take_rest(recorder.take_rest(unconfirmed=too_short))
+        results.take_rest(recorder, unconfirmed=too_short)
 
 
 def track_detections(

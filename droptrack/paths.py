@@ -2,7 +2,7 @@
 
 from array import array
 from dataclasses import dataclass, field
-from math import hypot, nan, sqrt
+from math import hypot, nan
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,19 +29,18 @@ class Path:
     step_px: float = DRAWN_STEP_PX
     points: "array[float]" = field(default_factory=lambda: array("f"))
 
-    def add(self, frame: int, x: float, y: float, diameter_px: float, *, observed: bool) -> None:
-        """Go on to a later frame."""
-        self.length_px += hypot(x - self.x, y - self.y)
-        self.last_frame, self.x, self.y = frame, x, y
-        self.n_observed += observed
-        self.n_bridged += not observed
-        self.diameters_px += diameter_px
-        if not self.points or hypot(x - self.points[-2], y - self.points[-1]) > self.step_px:
-            self.points.extend((x, y))
-            if len(self.points) > 2 * MOST_POINTS:
-                pairs = np.frombuffer(self.points, np.float32).reshape(-1, 2)
-                self.points = array("f", pairs[::2].tobytes())
-                self.step_px *= 2
+    def add(self, frames: list[int], xs: list[float], ys: list[float]) -> None:
+        """Go on to later frames."""
+        for x, y in zip(xs, ys, strict=True):
+            self.length_px += hypot(x - self.x, y - self.y)
+            self.x, self.y = x, y
+            if not self.points or hypot(x - self.points[-2], y - self.points[-1]) > self.step_px:
+                self.points.extend((x, y))
+        self.last_frame = frames[-1]
+        while len(self.points) > 2 * MOST_POINTS:
+            pairs = np.frombuffer(self.points, np.float32).reshape(-1, 2)
+            self.points = array("f", pairs[::2].tobytes())
+            self.step_px *= 2
 
 
 class Paths:
@@ -52,17 +51,22 @@ class Paths:
 
     def add(self, rows: Trajectories) -> None:
         """Take rows that follow on those before."""
-        for frame, track_id, x, y, (_, _, w, h), observed in zip(
-            rows.frame.tolist(),
-            rows.track_id.tolist(),
-            rows.x.tolist(),
-            rows.y.tolist(),
-            rows.boxes.tolist(),
-            rows.observed.tolist(),
-            strict=True,
+        order = np.argsort(rows.track_id, kind="stable")
+        frames, xs, ys = (column[order].tolist() for column in (rows.frame, rows.x, rows.y))
+        ids, starts = np.unique(rows.track_id[order], return_index=True)
+        diameters = np.add.reduceat(np.sqrt(rows.boxes[order, 2] * rows.boxes[order, 3]), starts)
+        observed = np.add.reduceat(rows.observed[order], starts, dtype=np.int64)
+        ends = [*starts[1:].tolist(), len(rows)]
+        for track_id, start, end, n_observed, diameters_px in zip(
+            ids.tolist(), starts.tolist(), ends, observed.tolist(), diameters.tolist(), strict=True
         ):
-            path = self._paths.setdefault(track_id, Path(frame, frame, x, y))
-            path.add(frame, x, y, sqrt(w * h), observed=observed)
+            one = slice(start, end)
+            born = Path(frames[start], frames[start], xs[start], ys[start])
+            path = self._paths.setdefault(track_id, born)
+            path.add(frames[one], xs[one], ys[one])
+            path.n_observed += n_observed
+            path.n_bridged += end - start - n_observed
+            path.diameters_px += diameters_px
 
     def table(self) -> list[dict[str, Value]]:
         """One row a droplet: when and how far it went."""

@@ -30,6 +30,7 @@ from droptrack.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.video import Frame
 
 FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
+AT_ONCE = 30  # frames; written one by one they take twice as long
 # a frame and boxes (N, 4) -> unit descriptors (N, D)
 Describe = Callable[[Frame, NDArray[np.float64]], NDArray[np.float64]]
 
@@ -50,24 +51,24 @@ class Results:
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
     _smoother: Smoother = field(default_factory=Smoother)
 
-    def take(self, recorded: Recorded) -> None:
-        """Write final rows, once they are smoothed."""
-        with self.times.measure("write"):
-            for done, smoothed in self._smoother.add(recorded):
-                self._write(done, smoothed)
+    def take_final(self, recorder: Recorder) -> None:
+        """Write rows that are final, those of some frames together, once they are smoothed."""
+        if self.n_frames % AT_ONCE == 0:
+            with self.times.measure("write"):
+                self._write(self._smoother.add(recorder.take_final()))
 
-    def take_rest(self, recorded: Recorded) -> None:
-        """Write all that is left."""
-        self.take(recorded)
+    def take_rest(self, recorder: Recorder, *, unconfirmed: bool) -> None:
+        """Write all that is left, see `Recorder.take_rest`."""
         with self.times.measure("write"):
-            for done, smoothed in self._smoother.rest():
-                self._write(done, smoothed)
+            self._write(self._smoother.add(recorder.take_rest(unconfirmed=unconfirmed)))
+            self._write(self._smoother.rest())
 
-    def _write(self, recorded: Recorded, smoothed: NDArray[np.float64]) -> None:
-        rows = recorded.rows
-        extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *smoothed.T)
-        self.rows.write(rows, extra)
-        self.paths.add(rows)
+    def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
+        for recorded, columns in smoothed:
+            rows = recorded.rows
+            extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *columns.T)
+            self.rows.write(rows, extra)
+            self.paths.add(rows)
 
     def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
         """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
@@ -118,7 +119,7 @@ class Follower:
         results.n_detections += len(detections)
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, self._recorder, tracker.delay)
-        results.take(self._recorder.take_final())
+        results.take_final(self._recorder)
 
     def _track(self, index: int, frame: Frame, detections: Detections) -> int:
         """Track and record; returns for how many droplets a centre of mass was measured."""
@@ -131,7 +132,7 @@ class Follower:
         """Write what was held back."""
         self._results.show_rest(self._recorder)
         too_short = self._results.n_frames < self._tracker.n_init  # for any to be confirmed
-        self._results.take_rest(self._recorder.take_rest(unconfirmed=too_short))
+        self._results.take_rest(self._recorder, unconfirmed=too_short)
 
 
 def follow(

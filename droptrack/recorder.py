@@ -6,7 +6,7 @@ frames are added when it is confirmed, and gaps are bridged when it is seen agai
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from droptrack.detections import Detections
 from droptrack.tracks import Update
-from droptrack.trajectories import Trajectories
+from droptrack.trajectories import Trajectories, joined_trajectories
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -48,6 +48,15 @@ class Recorded:
 
     rows: Trajectories
     measured: NDArray[np.bool_]
+
+    def __getitem__(self, rows: NDArray[np.bool_] | slice) -> "Recorded":
+        return Recorded(self.rows[rows], self.measured[rows])
+
+
+def joined(parts: Sequence[Recorded]) -> Recorded:
+    """One after the other."""
+    measured = np.concatenate([part.measured for part in parts])
+    return Recorded(joined_trajectories([part.rows for part in parts]), measured)
 
 
 class Recorder:

@@ -7,13 +7,14 @@ that changes nothing that could be seen.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from droptrack import motion
 from droptrack.motion import Motion
-from droptrack.recorder import Recorded
+from droptrack.recorder import Recorded, joined
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64] | slice
@@ -29,10 +30,10 @@ FIRST_VELOCITY = 1.0  # a frame
 
 @dataclass
 class _Frame:
-    """The rows of one frame, and the filter's states of their droplets, in the same order."""
+    """The droplets of one frame, and the filter's states of them."""
 
     number: int
-    recorded: Recorded
+    ids: NDArray[np.int64]  # (N,)
     diameters: Floats  # (N,) of each droplet when it was first seen
     filtered: Motion
     predicted: Motion  # what was expected of them; of droplets new in this frame, nothing
@@ -44,67 +45,71 @@ class Smoother:
     """Takes final rows in the order of their frames and gives them back smoothed, later."""
 
     def __init__(self) -> None:
+        self._held: list[Recorded] = []  # the rows of all frames that are not done
         self._frames: list[_Frame] = []
 
     def add(self, recorded: Recorded) -> Iterator[tuple[Recorded, Floats]]:
-        """Take the rows of one frame or more; yields rows (M) and columns (M, 4) that are done."""
-        for rows in _by_frame(recorded):
-            self._frames.append(self._filtered(int(rows.rows.frame[0]), rows))
+        """Take the rows of some frames; yields rows (M) and columns (M, 4) that are done."""
+        rows = recorded.rows
+        if not len(rows):
+            return
+        self._held.append(recorded)
+        noise = np.where(recorded.measured, CENTRE_OF_MASS_NOISE, BOX_CENTRE_NOISE)
+        columns = np.column_stack(
+            [rows.x, rows.y, np.sqrt(rows.boxes[:, 2] * rows.boxes[:, 3]), noise]
+        )
+        starts = np.flatnonzero(np.diff(rows.frame, prepend=-1)).tolist()
+        for start, end in pairwise([*starts, len(rows)]):
+            one = slice(start, end)
+            number = int(rows.frame[start])
+            self._filter(number, rows.track_id[one], columns[one], rows.observed[one])
             if len(self._frames) >= 2 * LAG:
-                yield from self._back(LAG)
+                yield self._back(LAG)
 
     def rest(self) -> Iterator[tuple[Recorded, Floats]]:
         """The rows that are left at the end."""
-        yield from self._back(len(self._frames))
+        if self._frames:
+            yield self._back(len(self._frames))
 
-    def _filtered(self, number: int, recorded: Recorded) -> _Frame:
-        """One frame forward."""
-        rows = recorded.rows
-        places = np.column_stack([rows.x, rows.y])
-        diameters = np.sqrt(rows.boxes[:, 2] * rows.boxes[:, 3])
+    def _filter(
+        self, number: int, ids: NDArray[np.int64], columns: Floats, observed: NDArray[np.bool_]
+    ) -> None:
+        """One frame forward; `columns` (N, 4): x, y, diameter px, noise in diameters."""
         before = self._frames[-1] if self._frames else None
-        mine, theirs = _common(before, number, rows.track_id)
+        mine, theirs = _common(before, number, ids)
+        n, places = len(ids), columns[:, :2]
+        diameters = columns[:, 2].copy()
         if before is not None:
             diameters[mine] = before.diameters[theirs]
-        noise = np.where(recorded.measured, CENTRE_OF_MASS_NOISE, BOX_CENTRE_NOISE) * diameters
-        n = len(rows)
+        noise = columns[:, 3] * diameters
         spread = np.column_stack([noise**2, np.zeros(n), (FIRST_VELOCITY * diameters) ** 2])
         predicted = Motion(places.copy(), np.zeros((n, 2)), spread)
         followed = np.zeros(n, bool)
         if before is not None:
             acceleration = ACCELERATION * diameters[mine]
             predicted[mine] = motion.predict(before.filtered[theirs], acceleration)
-            followed[mine] = rows.observed[mine]
-        state = motion.update(predicted, places, np.where(followed, noise, np.inf))
-        return _Frame(number, recorded, diameters, state, predicted, mine, theirs)
+            followed[mine] = observed[mine]
+        filtered = motion.update(predicted, places, np.where(followed, noise, np.inf))
+        self._frames.append(_Frame(number, ids, diameters, filtered, predicted, mine, theirs))
 
-    def _back(self, n_done: int) -> Iterator[tuple[Recorded, Floats]]:
+    def _back(self, n_done: int) -> tuple[Recorded, Floats]:
         """Go back through all frames that are held; hand out the first of them."""
         columns: list[Floats] = []
         later: Motion | None = None
         for index in range(len(self._frames) - 1, -1, -1):
             frame = self._frames[index]
-            state = frame.filtered[np.arange(len(frame.diameters))]  # a copy
+            state = frame.filtered[np.arange(len(frame.ids))]  # a copy
             if later is not None:
                 following = self._frames[index + 1]
                 mine, theirs = following.theirs, following.mine
                 state[mine] = motion.smooth(state[mine], following.predicted[theirs], later[theirs])
             later = state
-            columns.append(np.hstack([state.position, state.velocity]))
-        for frame, values in zip(self._frames[:n_done], columns[::-1], strict=False):
-            yield frame.recorded, values
+            if index < n_done:
+                columns.append(np.hstack([state.position, state.velocity]))
         del self._frames[:n_done]
-
-
-def _by_frame(recorded: Recorded) -> Iterator[Recorded]:
-    """The rows of each frame."""
-    frames = recorded.rows.frame
-    if len(frames) and frames[0] == frames[-1]:
-        yield recorded
-        return
-    for number in np.unique(frames):
-        part = slice(*np.searchsorted(frames, [number, number + 1]))
-        yield Recorded(recorded.rows[part], recorded.measured[part])
+        smoothed, held = np.concatenate(columns[::-1]), joined(self._held)
+        self._held = [held[len(smoothed) :]]
+        return held[: len(smoothed)], smoothed
 
 
 def _common(before: _Frame | None, number: int, ids: NDArray[np.int64]) -> tuple[Rows, Rows]:
@@ -112,8 +117,7 @@ def _common(before: _Frame | None, number: int, ids: NDArray[np.int64]) -> tuple
     if before is None or before.number != number - 1:
         none = np.zeros(0, np.int64)
         return none, none
-    ids_before = before.recorded.rows.track_id
-    if np.array_equal(ids, ids_before):
+    if np.array_equal(ids, before.ids):
         return slice(None), slice(None)
-    _, mine, theirs = np.intersect1d(ids, ids_before, assume_unique=True, return_indices=True)
+    _, mine, theirs = np.intersect1d(ids, before.ids, assume_unique=True, return_indices=True)
     return mine.astype(np.int64), theirs.astype(np.int64)

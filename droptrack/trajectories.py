@@ -5,7 +5,7 @@ A file begins with ``# key: value`` lines that say what made it, then has the co
 """
 
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, TextIO
@@ -45,7 +45,7 @@ class Trajectories:
             shape = (m, 4) if field.name == "boxes" else (m,)
             if array.shape != shape:
                 raise ValueError(f"{field.name} should have shape {shape}, not {array.shape}")
-            if not np.isfinite(array).all():
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
                 raise ValueError(f"{field.name} should be finite")
         step = np.diff(self.frame)
         if (step < 0).any() or (np.diff(self.track_id)[step == 0] <= 0).any():
@@ -56,6 +56,14 @@ class Trajectories:
 
     def __getitem__(self, rows: NDArray[np.bool_] | slice) -> "Trajectories":
         return Trajectories(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+def joined_trajectories(parts: Sequence[Trajectories]) -> Trajectories:
+    """Rows of later and later frames, one part after the other."""
+    names = [field.name for field in fields(Trajectories)]
+    return Trajectories(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
+    )
 
 
 def sorted_trajectories(

@@ -111,53 +111,55 @@ class DropletTracker:
 
     def _predict(self, boxes: Floats, diameters: Floats) -> None:
         """All tracks one frame on, those of unknown velocity with the flow."""
-        tracks, p = self.tracks, self.parameters
-        velocity, covariance = tracks.state.velocity.copy(), tracks.state.covariance.copy()
-        known = (tracks.hits >= 3) & (tracks.missed == 0)
-        unknown = np.flatnonzero(tracks.hits == 1)
-        lost = np.flatnonzero((tracks.missed > 0) & (tracks.hits > 1))
+        tracks = self.tracks
+        if self.parameters.flow:
+            self._take_flow(boxes, diameters)
+        tracks.state = motion.predict(tracks.state, self.noise.acceleration * diameters)
+        tracks.missed += 1
+        tracks.frames += 1
+
+    def _take_flow(self, boxes: Floats, diameters: Floats) -> None:
+        """Learn from the flow how new tracks move, and those that are lost."""
+        tracks = self.tracks
+        new, seen = tracks.hits == 1, tracks.missed == 0
+        if seen.all() and not new.any():
+            return
+        places, velocity, covariance = vars(tracks.state).values()
+        unknown, lost = np.flatnonzero(new), np.flatnonzero(~seen & ~new)
         both = np.concatenate([unknown, lost])
-        if p.flow and len(both):
-            mean, variance = flow.velocity_of_neighbours(
-                tracks.state.position[both],
-                diameters[both],
-                tracks.state.position[known],
-                velocity[known],
-            )
-            k = len(unknown)
-            told = np.isfinite(variance[:k])
-            rows = unknown[told]
-            velocity[rows] = mean[:k][told]
-            covariance[rows, 2] = variance[:k][told] + (0.15 * diameters[rows]) ** 2
-            rest = unknown[~told & (tracks.missed[unknown] == 0)]
-            seen = tracks.missed == 0
-            step, share = flow.displacement_of_pattern(
-                tracks.state.position[seen],
-                diameters[seen],
-                np.searchsorted(np.flatnonzero(seen), rest),
-                boxes[:, :2],
-                p.max_step,
-            )
-            sure = rest[share > 0.5]
-            velocity[sure] = step[share > 0.5]
-            covariance[sure, 2] = (0.2 * diameters[sure]) ** 2
-            # the flow is one more measurement of the velocity of those that are lost
-            told = np.isfinite(variance[k:])
-            rows = lost[told]
-            noise = variance[k:][told] + (0.1 * diameters[rows]) ** 2
-            gain = covariance[rows, 2] / (covariance[rows, 2] + noise)
-            velocity[rows] += gain[:, None] * (mean[k:][told] - velocity[rows])
-            covariance[rows, 2] *= 1 - gain
-            covariance[rows, 1] *= 1 - gain
-        state = Motion(tracks.state.position, velocity, covariance)
-        tracks.state = motion.predict(state, self.noise.acceleration * diameters)
-        tracks.missed = tracks.missed + 1
-        tracks.frames = tracks.frames + 1
+        known = (tracks.hits >= 3) & seen
+        mean, variance = flow.velocity_of_neighbours(
+            places[both], diameters[both], places[known], velocity[known]
+        )
+        k = len(unknown)
+        told = np.isfinite(variance[:k])
+        rows = unknown[told]
+        velocity[rows] = mean[:k][told]
+        covariance[rows, 2] = variance[:k][told] + (0.15 * diameters[rows]) ** 2
+        rest = unknown[~told & seen[unknown]]
+        step, share = flow.displacement_of_pattern(
+            places[seen],
+            diameters[seen],
+            np.searchsorted(np.flatnonzero(seen), rest),
+            boxes[:, :2],
+            self.parameters.max_step,
+        )
+        sure = rest[share > 0.5]
+        velocity[sure] = step[share > 0.5]
+        covariance[sure, 2] = (0.2 * diameters[sure]) ** 2
+        # the flow is one more measurement of the velocity of those that are lost
+        told = np.isfinite(variance[k:])
+        rows = lost[told]
+        noise = variance[k:][told] + (0.1 * diameters[rows]) ** 2
+        gain = covariance[rows, 2] / (covariance[rows, 2] + noise)
+        velocity[rows] += gain[:, None] * (mean[k:][told] - velocity[rows])
+        covariance[rows, 2] *= 1 - gain
+        covariance[rows, 1] *= 1 - gain
 
     def _match(
         self, boxes: Floats, descriptors: Floats, diameters: Floats
     ) -> tuple[Rows, Rows, Floats]:
-        """Rows of tracks and detections that belong together, and the evidence that they do."""
+        """Rows of tracks, rising, and detections that belong together, and the evidence for it."""
         tracks, p = self.tracks, self.parameters
         none = np.zeros(0, np.int64)
         if not len(tracks.ids) or not len(boxes):
@@ -197,19 +199,21 @@ class DropletTracker:
         chosen, taken = choose(rows, columns, cost, most)
         if len(chosen) == len(rows):  # there was no choice
             return rows, columns, most - cost
-        pairs, wanted = rows * len(boxes) + columns, chosen * len(boxes) + taken
+        pairs, wanted = rows * len(boxes) + columns, np.sort(chosen * len(boxes) + taken)
         order = np.argsort(pairs)
         at = order[np.searchsorted(pairs, wanted, sorter=order)]
-        return chosen, taken, most - cost[at]
+        return rows[at], columns[at], most - cost[at]
 
     def _spread(self, diameters: Floats) -> Floats:
         """Variance (N,) px² of a detection about its prediction."""
         spread = self.tracks.state.covariance[:, 0] + (self.noise.centre * diameters) ** 2
         return np.asarray(np.maximum(spread, (LEAST_SPREAD * diameters) ** 2))
 
-    def _correct(self, rows: Rows, boxes: Floats, descriptors: Floats, diameters: Floats) -> None:
-        """Take in the detections of some tracks; `diameters` (N,) are those of all."""
-        tracks, mine = self.tracks, diameters[rows]
+    def _correct(self, seen: Rows, boxes: Floats, descriptors: Floats, diameters: Floats) -> None:
+        """Take in the detections of some tracks, rising; `diameters` (N,) are those of all."""
+        tracks = self.tracks
+        rows = slice(None) if len(seen) == len(tracks.ids) else seen  # takes less time
+        mine = diameters[rows]
         innovation = (boxes[:, :2] - tracks.state.position[rows]) / mine[:, None]
         change = np.log(boxes[:, 2:]) - tracks.log_sizes[rows]
         if self.parameters.learn_noise:
@@ -235,15 +239,15 @@ class DropletTracker:
             looks = (1 - gain) * tracks.looks[rows] + gain * descriptors
             tracks.looks[rows] = looks / np.linalg.norm(looks, axis=1, keepdims=True)
 
-    def _learn(self, rows: Rows, innovation: Floats, change: Floats, diameters: Floats) -> None:
+    def _learn(self, rows: Rows | slice, innovation: Floats, change: Floats, diameters: Floats) -> None:
         """Learn the noise from the tracks that have been seen for some frames without a gap."""
         tracks = self.tracks
         steady = (tracks.hits[rows] >= 4) & (tracks.missed[rows] == 1)
         if steady.sum() < 3:
             return
-        chosen = rows[steady]
-        variance = tracks.state.covariance[chosen, 0] / diameters[steady] ** 2
-        self.noise.learn(innovation[steady], tracks.innovation[chosen], variance, change[steady])
+        before = tracks.innovation[rows][steady]
+        variance = tracks.state.covariance[rows, 0][steady] / diameters[steady] ** 2
+        self.noise.learn(innovation[steady], before, variance, change[steady])
 
     def _start(self, boxes: Floats, descriptors: Floats, seconds: Rows) -> Rows:
         """Start a track for each of the F detections that have none; returns their identities.

@@ -44,12 +44,12 @@ def table(rng: np.random.Generator, n_frames: int) -> Recorded:
     )
 
 
-def smoothed(recorded: Recorded) -> Floats:
-    """All rows through the smoother, ten frames at a time: columns (M, 4)."""
+def smoothed(recorded: Recorded, at_once: int = 10) -> Floats:
+    """All rows through the smoother, some frames at a time: columns (M, 4)."""
     smoother, done = Smoother(), []
     rows = recorded.rows
-    for start in range(0, int(rows.frame[-1]) + 1, 10):
-        part = (rows.frame >= start) & (rows.frame < start + 10)
+    for start in range(0, int(rows.frame[-1]) + 1, at_once):
+        part = (rows.frame >= start) & (rows.frame < start + at_once)
         done += list(smoother.add(Recorded(rows[part], recorded.measured[part])))
     done += list(smoother.rest())
     np.testing.assert_array_equal(np.concatenate([r.rows.x for r, _ in done]), rows.x)
@@ -91,6 +91,12 @@ def test_smoothed_positions_and_velocities_are_filterpys(n_frames: int, toleranc
             position, velocity = reference(recorded, int(droplet), axis)
             np.testing.assert_allclose(columns[mine, k], position, atol=tolerance)
             np.testing.assert_allclose(columns[mine, 2 + k], velocity, atol=tolerance)
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 60, 1000])
+def test_it_does_not_matter_how_many_frames_are_given_at_once(at_once: int) -> None:
+    recorded = table(np.random.default_rng(4), 400)
+    np.testing.assert_array_equal(smoothed(recorded, at_once), smoothed(recorded))
 
 
 def test_a_million_frames_would_take_no_more_memory_than_sixty() -> None:

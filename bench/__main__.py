@@ -61,7 +61,7 @@ def dataset(images: int = 10_000) -> None:
 
 
 @app.command()
-def stages(frames: int = 150) -> None:
+def stages(frames: int = 600) -> None:
     """Processor time a frame of each stage of tracking, one after the other."""
     spent: defaultdict[str, float] = defaultdict(float)
 

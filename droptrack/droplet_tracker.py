@@ -16,7 +16,7 @@ from droptrack import flow, motion
 from droptrack.association import assign_sparse, take_in_turn
 from droptrack.droplet_noise import FEWEST_FALSE, Noise, median
 from droptrack.droplet_tracks import new_tracks
-from droptrack.motion import Motion, squares
+from droptrack.motion import squares
 from droptrack.tracks import Update
 
 Floats = NDArray[np.float64]
@@ -239,7 +239,9 @@ class DropletTracker:
             looks = (1 - gain) * tracks.looks[rows] + gain * descriptors
             tracks.looks[rows] = looks / np.linalg.norm(looks, axis=1, keepdims=True)
 
-    def _learn(self, rows: Rows | slice, innovation: Floats, change: Floats, diameters: Floats) -> None:
+    def _learn(
+        self, rows: Rows | slice, innovation: Floats, change: Floats, diameters: Floats
+    ) -> None:
         """Learn the noise from the tracks that have been seen for some frames without a gap."""
         tracks = self.tracks
         steady = (tracks.hits[rows] >= 4) & (tracks.missed[rows] == 1)

@@ -1,5 +1,6 @@
 """Command: follow the droplets in a video, ``python -m droptrack.track``."""
 
+import functools
 import time
 from itertools import islice
 from pathlib import Path
@@ -9,6 +10,7 @@ import typer
 
 from droptrack import DroptrackError, __version__
 from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.compiled import load_all
 from droptrack.darknet_files import read_cfg, resized
 from droptrack.deepsort import Parameters
 from droptrack.engine_choice import Backend, Network, Precision, choose_detector
@@ -116,12 +118,10 @@ def main(
     source = Video(video)
     info = source.info
     live = source.live if live is None else live
+    say = functools.partial(typer.echo, err=True)
+    load_all(say)
     detector = choose_detector(
-        Network(network, weights, score, max_iou, dark),
-        backend,
-        precision,
-        live=live,
-        say=lambda text: typer.echo(text, err=True),
+        Network(network, weights, score, max_iou, dark), backend, precision, live=live, say=say
     )
     out = out or Path("tracks") / (Path(video).stem or "camera")
     if Path(video).resolve() == (out / "tracked.mp4").resolve():

@@ -179,6 +179,18 @@ def test_grey_videos_stay_grey_until_a_colour_comes(tmp_path: Path, fourcc: str,
     assert np.abs(frames[-1][5, 5].astype(int) - (20, 90, 200)).max() <= 4
 
 
+@pytest.mark.parametrize(("difference", "grey"), [(4, True), (5, False)])
+def test_colours_that_hardly_differ_are_grey(tmp_path: Path, difference: int, grey: bool) -> None:
+    """One pixel of a lossless video is redder than the others."""
+    image = np.full((48, 64, 3), 100, np.uint8)
+    image[10, 20, 2] += difference
+    with VideoWriter(tmp_path / "v.avi", VideoInfo(64, 48, 25, 1), "FFV1") as video:
+        video.write(image)
+    (frame,) = Video(str(tmp_path / "v.avi"))
+    assert (grey_plane(frame) is not None) == grey
+    assert frame[10, 20].tolist() == ([100, 100, 100] if grey else [100, 100, 105])
+
+
 def test_an_unwritable_video_is_said_to_be(tmp_path: Path) -> None:
     with pytest.raises(DroptrackError, match="cannot be written"):
         VideoWriter(tmp_path / "no" / "folder" / "v.avi", VideoInfo(64, 48, 25, 0), "MJPG")

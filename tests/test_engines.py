@@ -139,6 +139,21 @@ def test_onnx_runtime_finds_what_opencv_finds() -> None:
     assert_same(select(rows[0], 1200, 600, 0.25, 0.45), opencv.detect([frame])[0])
 
 
+@needs_torch
+@pytest.mark.parametrize("precision", ["fp32", "bf16", "fp16"])
+def test_all_of_the_network_goes_to_the_device(precision: str) -> None:
+    """The device without memory takes no number of another, as a GPU takes none of the CPU's."""
+    import torch
+
+    from droptrack.engines.pytorch import DTYPES, FramesToRows
+
+    network = FramesToRows(CFG, read_weights(SHIPPED_WEIGHTS, CFG), DTYPES[precision]).to("meta")
+    rows = network(torch.empty((2, 600, 1200, 3), dtype=torch.uint8, device="meta"))
+    cells = sum((CFG.width // stride) * (CFG.height // stride) for stride in (16, 32))
+    assert rows.shape == (2, 3 * cells, 6)
+    assert rows.is_meta
+
+
 @pytest.mark.parametrize(("backend", "precision"), ROUNDED)
 def test_a_rounded_engine_loses_at_most_two_thousandths_of_precision(
     backend: str, precision: str

@@ -139,6 +139,7 @@ class TorchCudaEngine(TorchEngine):
                 self._network(frames)
         torch.cuda.current_stream().wait_stream(aside)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        # another thread prepares the next frames meanwhile, with CUDA's memory
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
             rows = self._network(frames)
         return Recording(graph, frames, rows)

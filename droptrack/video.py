@@ -5,7 +5,7 @@ A frame is a plain (H, W, 3) uint8 BGR array.
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, count
 from pathlib import Path
@@ -150,6 +150,12 @@ def grey_frame(plane: NDArray[np.uint8]) -> Frame:
 def grey_plane(frame: Frame) -> NDArray[np.uint8] | None:
     """The picture (H, W) that a frame of `grey_frame` shows; None of other frames."""
     return frame[..., 0] if frame.strides[2] == 0 else None
+
+
+def grey_planes(frames: Sequence[Frame]) -> list[NDArray[np.uint8]] | None:
+    """The pictures (H, W) that frames of `grey_frame` show; None where one is another frame."""
+    planes = [plane for frame in frames if (plane := grey_plane(frame)) is not None]
+    return planes if len(planes) == len(frames) else None
 
 
 def negative(frame: Frame) -> Frame:

@@ -107,6 +107,18 @@ def test_an_engine_finds_what_opencv_finds(
     assert_same(found, expected)
 
 
+@pytest.mark.parametrize(("backend", "precision"), [("opencv", "fp32"), *EXACT])
+def test_grey_frames_are_their_three_planes(backend: str, precision: str) -> None:
+    """A grey frame is one plane in memory, and prepared as such."""
+    own = detector(backend, precision)
+    frames = [grey_frame(SCENES["c"](np.random.default_rng([3, seed])).image) for seed in range(2)]
+    for grey, copied in zip(
+        own.detect(frames), own.detect([frame.copy() for frame in frames]), strict=True
+    ):
+        assert len(grey) > 5
+        assert_same(grey, copied)
+
+
 @pytest.mark.parametrize(("backend", "precision"), EXACT)
 def test_pictures_started_before_others_are_done_are_not_mixed_up(
     backend: str, precision: str
@@ -148,10 +160,12 @@ def test_all_of_the_network_goes_to_the_device(precision: str) -> None:
     from droptrack.engines.pytorch import DTYPES, FramesToRows
 
     network = FramesToRows(CFG, read_weights(SHIPPED_WEIGHTS, CFG), DTYPES[precision]).to("meta")
-    rows = network(torch.empty((2, 600, 1200, 3), dtype=torch.uint8, device="meta"))
     cells = sum((CFG.width // stride) * (CFG.height // stride) for stride in (16, 32))
-    assert rows.shape == (2, 3 * cells, 6)
-    assert rows.is_meta
+    for channels in (1, 3):
+        frames = torch.empty((2, 600, 1200, channels), dtype=torch.uint8, device="meta")
+        rows = network(frames)
+        assert rows.shape == (2, 3 * cells, 6)
+        assert rows.is_meta
 
 
 @pytest.mark.parametrize(("backend", "precision"), ROUNDED)

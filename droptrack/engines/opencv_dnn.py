@@ -10,7 +10,7 @@ from droptrack import DroptrackError
 from droptrack.darknet_files import Cfg, Weights, cfg_text, weights_bytes, with_options
 from droptrack.detector import Float32s
 from droptrack.engines.in_thread import InThread
-from droptrack.video import Frame
+from droptrack.video import Frame, grey_planes
 
 TARGETS = {
     ("opencv", "fp32"): (cv2.dnn.DNN_BACKEND_OPENCV, cv2.dnn.DNN_TARGET_CPU),
@@ -54,8 +54,14 @@ class OpenCvEngine(InThread):
 
     def prepare(self, frames: Sequence[Frame]) -> Float32s:
         """Pictures (B, 3, height, width), stretched to the network's size as Darknet does."""
-        blob = cv2.dnn.blobFromImages(frames, 1 / 255, self._size, swapRB=True)
-        return np.asarray(blob, np.float32)
+        if (planes := grey_planes(frames)) is None:
+            blob = cv2.dnn.blobFromImages(frames, 1 / 255, self._size, swapRB=True)
+            return np.asarray(blob, np.float32)
+        pictures = np.empty((len(frames), 3, *self._size[::-1]), np.float32)
+        for plane, picture in zip(planes, pictures, strict=True):
+            np.multiply(cv2.resize(plane, self._size), np.float32(1 / 255), out=picture[0])
+            picture[1:] = picture[0]
+        return pictures
 
     def run(self, prepared: Float32s) -> list[Float32s]:
         """Rows of each head, cell by cell, of one picture after the other."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from droptrack.darknet_files import Cfg, Weights, yolo_heads
 from droptrack.detector import Computed, Float32s, decode_heads
 from droptrack.onnx_export import Range, onnx_model
-from droptrack.video import Frame, grey_plane
+from droptrack.video import Frame, grey_planes
 
 Pixels = NDArray[np.uint8]
 
@@ -57,13 +57,12 @@ class OpenVinoEngine:
 
     def prepare(self, frames: Sequence[Frame]) -> Pixels:
         """Pictures (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
-        planes = [grey_plane(frame) for frame in frames]
-        if any(plane is None for plane in planes):
+        if (planes := grey_planes(frames)) is None:
             blob = cv2.dnn.blobFromImages(frames, 1, self._size, swapRB=True, ddepth=cv2.CV_8U)
             return np.asarray(blob, np.uint8)
         pixels = np.empty((len(frames), 1, self._size[1], self._size[0]), np.uint8)
         for plane, target in zip(planes, pixels, strict=True):
-            cv2.resize(np.asarray(plane), self._size, dst=target[0])
+            cv2.resize(plane, self._size, dst=target[0])
         return pixels
 
     def start(self, prepared: Pixels) -> "Computing":

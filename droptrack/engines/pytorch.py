@@ -15,7 +15,7 @@ from droptrack.darknet_files import Cfg, Weights
 from droptrack.detector import Float32s
 from droptrack.engines.in_thread import InThread
 from droptrack.torch_network import DarknetNetwork, load_values
-from droptrack.video import Frame
+from droptrack.video import Frame, grey_planes
 
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
@@ -44,11 +44,11 @@ class FramesToRows(nn.Module):
             self.register_buffer(f"anchors_{number}", anchors[:, None, None])
 
     def forward(self, frames: Tensor) -> Tensor:
-        """Frames (B, H, W, 3) uint8 BGR -> rows (B, N, 5 + C) float32 as of `decode_head`."""
+        """Frames (B, H, W, 3 or 1) uint8, BGR or grey -> rows (B, N, 5 + C) as of `decode_head`."""
         x = frames.permute(0, 3, 1, 2).flip(1).float() / 255
         if x.shape[2:] != self.size:
             x = functional.interpolate(x, self.size, mode="bilinear", align_corners=False)
-        x = x.to(dtype=self.dtype, memory_format=torch.channels_last)
+        x = x.expand(-1, 3, -1, -1).to(dtype=self.dtype, memory_format=torch.channels_last)
         parts = []
         for number, (raw, head) in enumerate(zip(self.network(x), self.network.heads, strict=True)):
             logits = raw.float().permute(0, 1, 3, 4, 2)  # (B, A, rows, columns, 5 + C)
@@ -72,8 +72,9 @@ class TorchEngine(InThread):
         self._network = FramesToRows(cfg, weights, DTYPES[precision]).to(self.device)
 
     def prepare(self, frames: Sequence[Frame]) -> Tensor:
-        """Pictures (B, height, width, 3) of bytes, BGR, stretched to the network's size."""
-        return torch.from_numpy(np.stack([cv2.resize(frame, self._size) for frame in frames]))
+        """Pictures (B, height, width, 3 or 1) of bytes, stretched to the network's size."""
+        pictures = np.stack([cv2.resize(picture, self._size) for picture in _pictures(frames)])
+        return torch.from_numpy(pictures.reshape(len(frames), *self._size[::-1], -1))
 
     def run(self, prepared: Tensor) -> Tensor:
         """Rows (B, N, 5 + C)."""
@@ -85,6 +86,12 @@ class TorchEngine(InThread):
         """The rows (N, 5 + C) of each picture with an objectness above the threshold."""
         every = outputs.numpy()
         return [rows[rows[:, 4] > self._threshold] for rows in every]
+
+
+def _pictures(frames: Sequence[Frame]) -> Sequence[Frame]:
+    """Frames (H, W, 3) as they are, grey ones (H, W, 1)."""
+    planes = grey_planes(frames)
+    return frames if planes is None else [plane[..., None] for plane in planes]
 
 
 @dataclass(frozen=True)
@@ -117,8 +124,8 @@ class TorchCudaEngine(TorchEngine):
         self._recordings: dict[torch.Size, Recording] = {}
 
     def prepare(self, frames: Sequence[Frame]) -> Tensor:
-        """Frames (B, H, W, 3) of bytes in memory that the GPU reads by itself."""
-        return torch.from_numpy(np.stack(frames)).pin_memory()
+        """Frames (B, H, W, 3 or 1) of bytes in memory that the GPU reads by itself."""
+        return torch.from_numpy(np.stack(_pictures(frames))).pin_memory()
 
     def run(self, prepared: Tensor) -> Tensor:
         """Rows (B, N, 5 + C), on the CPU."""

@@ -26,6 +26,8 @@ def load_all(say: Callable[[str], object]) -> None:
     """Load all that is compiled, and tell a user who has to wait for it why."""
     waiting = Timer(SLOW, say, ["compiling loops, once after an installation: some ten seconds"])
     waiting.start()
-    for name in NAMES:
-        compiled(name)
-    waiting.cancel()
+    try:
+        for name in NAMES:
+            compiled(name)
+    finally:
+        waiting.cancel()

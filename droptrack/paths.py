@@ -29,14 +29,14 @@ class Path:
     step_px: float = DRAWN_STEP_PX
     points: "array[float]" = field(default_factory=lambda: array("f"))
 
-    def add(self, frames: list[int], xs: list[float], ys: list[float]) -> None:
-        """Go on to later frames."""
+    def add(self, last_frame: int, xs: list[float], ys: list[float]) -> None:
+        """Go on through later positions to a later frame."""
+        self.last_frame = last_frame
         for x, y in zip(xs, ys, strict=True):
             self.length_px += hypot(x - self.x, y - self.y)
             self.x, self.y = x, y
             if not self.points or hypot(x - self.points[-2], y - self.points[-1]) > self.step_px:
                 self.points.extend((x, y))
-        self.last_frame = frames[-1]
         while len(self.points) > 2 * MOST_POINTS:
             pairs = np.frombuffer(self.points, np.float32).reshape(-1, 2)
             self.points = array("f", pairs[::2].tobytes())
@@ -63,7 +63,7 @@ class Paths:
             one = slice(start, end)
             born = Path(frames[start], frames[start], xs[start], ys[start])
             path = self._paths.setdefault(track_id, born)
-            path.add(frames[one], xs[one], ys[one])
+            path.add(frames[end - 1], xs[one], ys[one])
             path.n_observed += n_observed
             path.n_bridged += end - start - n_observed
             path.diameters_px += diameters_px

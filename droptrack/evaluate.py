@@ -92,6 +92,7 @@ def evaluate_network(
         "engine": detector.engine.name,
         "least_score": LEAST_SCORE,
         "max_iou": MAX_IOU,
+        "dark": detector.dark,
         "score_of_precision_recall_f1_iou": 0.25,
     }
     return replace(report, settings=settings)
@@ -121,6 +122,9 @@ def main(
     images: Annotated[
         int, typer.Option(min=0, help="With --data: only so many validation images; 0: all.")
     ] = 0,
+    dark: Annotated[
+        bool, typer.Option("--dark", help="With --data: its droplets are darker than their ground.")
+    ] = False,
     json: Annotated[Path | None, typer.Option(help="Write the report here too.")] = None,
 ) -> None:
     """Compare trajectories with the truth, or a network's detections with a data set's labels.
@@ -131,7 +135,7 @@ def main(
     if data is not None and truth is None:
         weights = weights or SHIPPED_WEIGHTS
         network, pictures = read_cfg(cfg or find_cfg(weights)), read_data_file(data)
-        detector = darknet_detector(network, weights)
+        detector = darknet_detector(network, weights, dark=dark)
         report = evaluate_network(pictures, network, weights, images, detector)
         report.print()
         if find_spec("hotcoco") is None:

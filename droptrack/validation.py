@@ -15,9 +15,9 @@ from droptrack.report import Report, Value
 LEAST_SCORE, MAX_IOU = 0.005, 0.45
 
 
-def darknet_detector(cfg: Cfg, weights: Path) -> Detector:
-    """A detector whose detections are those Darknet's mAP is computed from."""
-    return choose_detector(Network(cfg, weights, LEAST_SCORE, MAX_IOU), Backend.opencv)
+def darknet_detector(cfg: Cfg, weights: Path, *, dark: bool = False) -> Detector:
+    """A detector whose detections are those Darknet's mAP is computed from; `dark`: `Detector`."""
+    return choose_detector(Network(cfg, weights, LEAST_SCORE, MAX_IOU, dark), Backend.opencv)
 
 
 def detect_images(detector: Detector, images: Sequence[Path]) -> Iterator[Pair]:

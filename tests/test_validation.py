@@ -1,13 +1,15 @@
 """A network tried on labelled images, through the command."""
 
 import json
+import shutil
 from pathlib import Path
 
+import cv2
 import pytest
 from typer.testing import CliRunner
 
 from data_gen.make_dataset import Recipe, make_dataset
-from droptrack.dataset import read_data_file, read_scenes
+from droptrack.dataset import read_data_file, read_image, read_scenes
 from droptrack.evaluate import app
 
 
@@ -34,6 +36,21 @@ def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path:
         assert 0.7 < scores["coco_ap_50_95"] < scores["coco_ap_50"]
         assert scores["f1"] > 0.95
         assert scores["average_iou"] > 0.85
+
+
+def test_dark_droplets_are_found_as_bright_ones_of_the_negative(data: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(data.parent, tmp_path / "dark")
+    pictures = read_data_file(folder / "obj.data")
+    for path in pictures.valid:
+        cv2.imwrite(str(path), 255 - read_image(path))
+    found = {}
+    for options in ((), ("--dark",)):
+        report = tmp_path / f"report{len(options)}.json"
+        arguments = ["--data", str(pictures.path), "--json", str(report), *options]
+        assert CliRunner().invoke(app, arguments).exit_code == 0
+        found[options] = json.loads(report.read_text())["summary"]["map_50"]
+    assert found["--dark",] > 0.99
+    assert found[()] < 0.5
 
 
 def test_scenes_are_read_back_as_they_take_turns(data: Path) -> None:

@@ -26,7 +26,7 @@ from droptrack.darknet_files import read_cfg
 from droptrack.deepsort import Parameters
 from droptrack.detections import Detections, labels
 from droptrack.detector import Detector, select
-from droptrack.engine_choice import Backend, Network, Precision, choose_detector
+from droptrack.engine_choice import Network, choose_detector
 from droptrack.metrics import average_precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
 from droptrack.pipeline import FURTHER_COLUMNS, Results
@@ -34,16 +34,11 @@ from droptrack.recorder import Recorder
 from droptrack.threads import side_by_side
 from droptrack.tracker_choice import TrackerName, make_tracker
 from droptrack.trajectories import TrajectoryWriter
+from droptrack.validation import darknet_detector
 from droptrack.video import Video
 
 app = new_app()
 console = Console()
-
-
-def shipped(threshold: float) -> Detector:
-    """The network that ships, all of it, in OpenCV."""
-    network = Network(read_cfg(find_cfg(SHIPPED_WEIGHTS)), SHIPPED_WEIGHTS, threshold, 0.45)
-    return choose_detector(network, Backend.opencv, Precision.fp32)
 
 
 @app.command()
@@ -133,7 +128,7 @@ def _counted(
 @app.command()
 def accuracy(images: int = 1000, seed: int = 2026) -> None:
     """MAP@0.50 of the network that ships on fresh pictures of each scene (Darknet's definition)."""
-    detector = shipped(0.005)
+    detector = darknet_detector(read_cfg(find_cfg(SHIPPED_WEIGHTS)), SHIPPED_WEIGHTS)
     table = Table("scene", "mAP@0.50", "precision", "recall", "droplets", title="scores above 0.25")
     for scene in SCENES:
         with progress_bar("images") as progress:

@@ -318,7 +318,7 @@ def accuracy(
     for size in sizes.split(","):
         cfg = resized(read_cfg(find_cfg(SHIPPED_WEIGHTS)), *parse_size(size))
         for precision in ("fp32", "bf16", "int8"):
-            network = Network(cfg, SHIPPED_WEIGHTS, 0.005, 0.45)
+            network = Network(cfg, SHIPPED_WEIGHTS, 0.005, 0.45, greedy=True)
             try:
                 engine = choose_detector(network, Backend.openvino, Precision(precision))
             except DroptrackError as error:

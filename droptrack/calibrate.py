@@ -143,7 +143,7 @@ def mean_average_precision(
 
     On the images as they are, and as a bad camera shows them.
     """
-    detector = Detector(engine, LEAST_SCORE, MAX_IOU)
+    detector = Detector(engine, LEAST_SCORE, MAX_IOU, greedy=True)
     found: tuple[list[Pair], list[Pair]] = [], []
     for number, frame in enumerate(frames(images, engine.name)):
         truth = read_truth(images[number // 2], frame.shape[1], frame.shape[0])

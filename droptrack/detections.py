@@ -94,16 +94,16 @@ def iou_of_pairs(boxes: Floats, others: Floats) -> Floats:
     return np.asarray(intersection / np.maximum(areas - intersection, 1e-300))
 
 
-def suppress_doubles(detections: Detections, max_iou: float) -> Detections:
-    """Greedy non-maximum suppression within each class, best score first.
+def suppress_doubles(detections: Detections, max_iou: float, *, greedy: bool = False) -> Detections:
+    """Non-maximum suppression within each class, greedy, best score first.
 
     Where that leaves a box between two others instead of these, which is how a network may see two
-    droplets that touch, the two are left instead (`boxes_between`).
+    droplets that touch, the two are left instead (`boxes_between`); not with `greedy`, as Darknet
+    has it.
     """
     while True:
         kept = _best(detections, max_iou)
-        between = boxes_between(detections, kept, max_iou)
-        if not len(between):
+        if greedy or not len(between := boxes_between(detections, kept, max_iou)):
             return detections[kept]
         detections = detections[np.delete(np.arange(len(detections)), between)]
 

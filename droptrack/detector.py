@@ -59,13 +59,20 @@ class Detector:
 
     `threshold`: least score of a detection; `max_iou`: overlap from which two detections are one
     droplet; `dark`: droplets are darker than what is around them, and the network learned bright
-    ones, so that it is shown the negative.
+    ones, so that it is shown the negative; `greedy`: as for `suppress_doubles`.
     """
 
     def __init__(
-        self, engine: Engine, threshold: float, max_iou: float, *, dark: bool = False
+        self,
+        engine: Engine,
+        threshold: float,
+        max_iou: float,
+        *,
+        dark: bool = False,
+        greedy: bool = False,
     ) -> None:
-        self.engine, self.threshold, self.max_iou, self.dark = engine, threshold, max_iou, dark
+        self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
+        self.dark, self.greedy = dark, greedy
 
     def detect(self, frames: Sequence[Frame]) -> list[Detections]:
         """The detections of each of some frames (H, W, 3) of one size, in one pass.
@@ -92,7 +99,7 @@ class Detector:
             times.add("network", seconds)
             with times.measure("decode_boxes"):
                 return [
-                    select(rows, width, height, self.threshold, self.max_iou)
+                    select(rows, width, height, self.threshold, self.max_iou, greedy=self.greedy)
                     for rows in self.engine.rows(outputs)
                 ]
 
@@ -156,7 +163,15 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     return found
 
 
-def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: float) -> Detections:
+def select(
+    rows: Float32s,
+    width: int,
+    height: int,
+    threshold: float,
+    max_iou: float,
+    *,
+    greedy: bool = False,
+) -> Detections:
     """Decoded rows (N, 5 + C) of all heads -> the detections in a picture of the given size.
 
     A score is objectness times the best class's probability; those up to the threshold are dropped,
@@ -164,11 +179,12 @@ def select(rows: Float32s, width: int, height: int, threshold: float, max_iou: f
     """
     if (loops := compiled("detector")) is not None:
         whole = np.ascontiguousarray(rows, np.float32)
-        return Detections(*loops.select(whole, width, height, threshold, max_iou))
+        return Detections(*loops.select(whole, width, height, threshold, max_iou, greedy))
     scores = rows[:, 4:5] * rows[:, 5:]  # (N, C)
     class_ids = scores.argmax(axis=1)
     best = scores[np.arange(len(scores)), class_ids].astype(np.float64)
     sized = (rows[:, 2:4] > 0).all(axis=1) & np.isfinite(rows).all(axis=1)
     kept = np.flatnonzero((best > threshold) & sized)
     boxes = rows[kept, :4].astype(np.float64) * [width, height, width, height]
-    return suppress_doubles(Detections(boxes, best[kept], class_ids[kept]), max_iou)
+    found = Detections(boxes, best[kept], class_ids[kept])
+    return suppress_doubles(found, max_iou, greedy=greedy)

@@ -118,9 +118,9 @@ def decode_head(
     return found
 
 
-@njit((_ROWS, types.int64, types.int64, types.float64, types.float64), **FAST)
+@njit((_ROWS, types.int64, types.int64, types.float64, types.float64, types.boolean), **FAST)
 def select(
-    rows: Float32s, width: int, height: int, threshold: float, max_iou: float
+    rows: Float32s, width: int, height: int, threshold: float, max_iou: float, greedy: bool
 ) -> tuple[Floats, Floats, Rows]:
     """`detector.select`: boxes (K, 4) px, scores (K,) and classes (K,), the best first."""
     boxes = np.empty((len(rows), 4))
@@ -142,7 +142,7 @@ def select(
     order, best = np.argsort(-scores, kind="mergesort"), np.empty(n, np.int64)
     dropped = np.zeros(n, np.bool_)
     _suppress(boxes, class_ids, order, max_iou, dropped, best)
-    while _drop_between(boxes, scores, max_iou, dropped, best):
+    while not greedy and _drop_between(boxes, scores, max_iou, dropped, best):
         _suppress(boxes, class_ids, order, max_iou, dropped, best)
     kept = order[(best[order] == order) & ~dropped[order]]
     return boxes[kept], scores[kept], class_ids[kept]

@@ -61,6 +61,7 @@ class Network:
     threshold: float
     max_iou: float
     dark: bool = False
+    greedy: bool = False
 
     def weights(self) -> Weights:
         """The weights; raises DroptrackError for a file that does not fit the cfg."""
@@ -68,7 +69,7 @@ class Network:
 
     def detector(self, engine: Engine) -> Detector:
         """A detector with this network on an engine."""
-        return Detector(engine, self.threshold, self.max_iou, dark=self.dark)
+        return Detector(engine, self.threshold, self.max_iou, dark=self.dark, greedy=self.greedy)
 
 
 def choose_detector(

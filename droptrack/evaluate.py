@@ -15,6 +15,7 @@ from droptrack.command_line import new_app, one_line_errors, progress_bar
 from droptrack.darknet_files import Cfg, read_cfg
 from droptrack.dataset import DataSet, read_data_file, read_scenes
 from droptrack.detector import Detector
+from droptrack.engine_choice import Backend, Precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
 from droptrack.report import Report, Value
 from droptrack.track_metrics import DropletScore, match, score_droplets
@@ -122,6 +123,12 @@ def main(
     images: Annotated[
         int, typer.Option(min=0, help="With --data: only so many validation images; 0: all.")
     ] = 0,
+    backend: Annotated[
+        Backend, typer.Option(help="With --data: what runs the network.")
+    ] = Backend.opencv,
+    precision: Annotated[
+        Precision, typer.Option(help="With --data: auto is what tracks videos, pruned or not.")
+    ] = Precision.fp32,
     dark: Annotated[
         bool, typer.Option("--dark", help="With --data: its droplets are darker than their ground.")
     ] = False,
@@ -135,7 +142,9 @@ def main(
     if data is not None and truth is None:
         weights = weights or SHIPPED_WEIGHTS
         network, pictures = read_cfg(cfg or find_cfg(weights)), read_data_file(data)
-        detector = darknet_detector(network, weights, dark=dark)
+        detector = darknet_detector(
+            network, weights, backend=backend, precision=precision, dark=dark
+        )
         report = evaluate_network(pictures, network, weights, images, detector)
         report.print()
         if find_spec("hotcoco") is None:

@@ -301,7 +301,7 @@ def _validate(
             decode_head(raw[0].float().cpu().numpy(), head, 0.005)
             for raw, head in zip(maps, network.heads, strict=True)
         ]
-        found = select(np.concatenate(rows), width, height, 0.005, 0.45)
+        found = select(np.concatenate(rows), width, height, 0.005, 0.45, greedy=True)
         yield found, read_truth(path, width, height)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from droptrack.darknet_files import Cfg
 from droptrack.dataset import read_image, read_truth
 from droptrack.detector import Detector
-from droptrack.engine_choice import Backend, Network, choose_detector
+from droptrack.engine_choice import Backend, Network, Precision, choose_detector
 from droptrack.metrics import Pair, average_precision, coco_average_precision
 from droptrack.report import Report, Value
 
@@ -15,9 +15,17 @@ from droptrack.report import Report, Value
 LEAST_SCORE, MAX_IOU = 0.005, 0.45
 
 
-def darknet_detector(cfg: Cfg, weights: Path, *, dark: bool = False) -> Detector:
+def darknet_detector(
+    cfg: Cfg,
+    weights: Path,
+    *,
+    backend: Backend = Backend.opencv,
+    precision: Precision = Precision.fp32,
+    dark: bool = False,
+) -> Detector:
     """A detector whose detections are those Darknet's mAP is computed from; `dark`: `Detector`."""
-    return choose_detector(Network(cfg, weights, LEAST_SCORE, MAX_IOU, dark), Backend.opencv)
+    network = Network(cfg, weights, LEAST_SCORE, MAX_IOU, dark=dark, greedy=True)
+    return choose_detector(network, backend, precision)
 
 
 def detect_images(detector: Detector, images: Sequence[Path]) -> Iterator[Pair]:

@@ -46,6 +46,7 @@ def test_two_droplets_that_touch_are_kept_rather_than_a_box_between_them() -> No
     )
     found = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.zeros(3, np.int64))
     assert suppress_doubles(found, 0.3).boxes.tolist() == boxes[1:].tolist()
+    assert suppress_doubles(found, 0.3, greedy=True).boxes.tolist() == boxes[:1].tolist()
     unlikely = Detections(boxes, np.array([0.993, 0.99, 0.4]), np.zeros(3, np.int64))
     assert suppress_doubles(unlikely, 0.3).boxes.tolist() == boxes[:1].tolist()
     others = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.array([0, 0, 1]))

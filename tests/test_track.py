@@ -91,7 +91,7 @@ def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
 
 def shipped(threshold: float) -> Detector:
     cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45))
+    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45, greedy=True))
 
 
 def test_a_batch_of_frames_gives_what_single_frames_give(sine: Path) -> None:

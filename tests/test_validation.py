@@ -38,6 +38,28 @@ def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path:
         assert scores["average_iou"] > 0.85
 
 
+@pytest.mark.parametrize(
+    ("options", "engine"),
+    [
+        ((), "opencv fp32"),
+        (("--precision", "auto"), "opencv fp32, pruned"),
+        (("--backend", "torch", "--precision", "bf16"), "torch bf16"),
+    ],
+)
+def test_all_of_the_network_is_tried_unless_another_is_named(
+    options: tuple[str, ...], engine: str, data: Path, tmp_path: Path
+) -> None:
+    if "torch" in options:
+        pytest.importorskip("torch", reason="needs the extra [train]")
+    report = tmp_path / "report.json"
+    arguments = ["--data", str(data), "--images", "10", "--json", str(report), *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    content = json.loads(report.read_text())
+    assert content["settings"]["engine"] == engine
+    assert content["summary"]["map_50"] > 0.99
+
+
 def test_dark_droplets_are_found_as_bright_ones_of_the_negative(data: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(data.parent, tmp_path / "dark")
     pictures = read_data_file(folder / "obj.data")

@@ -60,6 +60,7 @@ from droptrack.quantisation import (
 from droptrack.stage_times import STAGES
 from droptrack.tracker_choice import TrackerName, make_tracker
 from droptrack.trajectories import TrajectoryWriter
+from droptrack.validation import darknet_detector
 from droptrack.video import Frame, Video, VideoInfo, VideoWriter, grey_frame
 
 SIZE = (1200, 600)
@@ -318,9 +319,10 @@ def accuracy(
     for size in sizes.split(","):
         cfg = resized(read_cfg(find_cfg(SHIPPED_WEIGHTS)), *parse_size(size))
         for precision in ("fp32", "bf16", "int8"):
-            network = Network(cfg, SHIPPED_WEIGHTS, 0.005, 0.45, greedy=True)
             try:
-                engine = choose_detector(network, Backend.openvino, Precision(precision))
+                engine = darknet_detector(
+                    cfg, SHIPPED_WEIGHTS, backend=Backend.openvino, precision=Precision(precision)
+                )
             except DroptrackError as error:
                 console.print(f"left out: {error}")
                 continue

@@ -5,6 +5,9 @@ slots of one small flat buffer, which LLVM vectorises. Of a droplet's window onl
 worked on where its fraction is not 0: `spans` holds the first and last + 1 such column of each row.
 Fields have a rim of one node of zeros, as have solid nodes: nothing arrives from there, and a list
 of links adds what half-way bounce-back returns.
+
+Numba keeps what it compiled until this file changes, whatever changes in files that it calls; so
+collision and transport stay in one, though it is long.
 """
 
 from typing import Any, NamedTuple

@@ -14,7 +14,7 @@ from droptrack.dataset import read_data_file, read_image, read_truth
 from droptrack.detections import Detections
 from droptrack.detector import Detector, Engine
 from droptrack.flaws import photographed
-from droptrack.metrics import average_precision
+from droptrack.metrics import LEAST_SCORE, MAX_IOU, Pair, average_precision
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
 from droptrack.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
 from droptrack.quantisation import (
@@ -30,10 +30,6 @@ from droptrack.video import Frame
 PRUNING_ERROR = 2e-4  # docs/performance.md
 MAX_LOSSES = (MAX_LOSS, 0.01)  # of mAP, as drawn and as a bad camera shows it, else:
 PRUNED_LESS = 4  # how much smaller the error is at the next try
-Pair = tuple[Detections, Detections]
-# as Darknet measures mAP
-LEAST_SCORE = 0.005
-MAX_IOU = 0.45
 
 app = new_app()
 

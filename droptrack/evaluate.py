@@ -16,17 +16,12 @@ from droptrack.darknet_files import Cfg, read_cfg
 from droptrack.dataset import DataSet, read_data_file, read_scenes
 from droptrack.detector import Detector
 from droptrack.engine_choice import Backend, Precision
+from droptrack.metrics import LEAST_SCORE, MAX_IOU
 from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
 from droptrack.report import Report, Value
 from droptrack.track_metrics import DropletScore, match, score_droplets
 from droptrack.trajectories import Trajectories, read_trajectories
-from droptrack.validation import (
-    LEAST_SCORE,
-    MAX_IOU,
-    darknet_detector,
-    detect_images,
-    network_report,
-)
+from droptrack.validation import darknet_detector, detect_images, network_report
 
 MSE_NAMES = [field.name for field in fields(DropletScore) if field.name.startswith("mse")]
 

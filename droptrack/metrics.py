@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from droptrack.detections import Detections, iou_matrix
 
 Pair = tuple[Detections, Detections]  # what was found on an image, and the truth
+# which detections Darknet's `detector map` counts: above a score, doubles suppressed at an overlap
+LEAST_SCORE, MAX_IOU = 0.005, 0.45
 
 
 @dataclass(frozen=True)

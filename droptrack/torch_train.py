@@ -21,7 +21,7 @@ from droptrack.darknet_files import WEIGHTS_VERSION, Cfg, Weights, read_weights,
 from droptrack.dataset import DataSet, read_image, read_truth
 from droptrack.detections import Detections
 from droptrack.detector import decode_head, select
-from droptrack.metrics import average_precision
+from droptrack.metrics import LEAST_SCORE, MAX_IOU, average_precision
 from droptrack.torch_data import Augmentation, Batches, DrawPicture, TrainingPictures, collate
 from droptrack.torch_devices import (
     leave_signals_to_the_first_process,
@@ -298,10 +298,10 @@ def _validate(
         with torch.autocast(device.type, torch.bfloat16):
             maps = network(inputs.contiguous(memory_format=torch.channels_last))
         rows = [
-            decode_head(raw[0].float().cpu().numpy(), head, 0.005)
+            decode_head(raw[0].float().cpu().numpy(), head, LEAST_SCORE)
             for raw, head in zip(maps, network.heads, strict=True)
         ]
-        found = select(np.concatenate(rows), width, height, 0.005, 0.45, greedy=True)
+        found = select(np.concatenate(rows), width, height, LEAST_SCORE, MAX_IOU, greedy=True)
         yield found, read_truth(path, width, height)
 
 

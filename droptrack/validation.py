@@ -8,11 +8,14 @@ from droptrack.darknet_files import Cfg
 from droptrack.dataset import read_image, read_truth
 from droptrack.detector import Detector
 from droptrack.engine_choice import Backend, Network, Precision, choose_detector
-from droptrack.metrics import Pair, average_precision, coco_average_precision
+from droptrack.metrics import (
+    LEAST_SCORE,
+    MAX_IOU,
+    Pair,
+    average_precision,
+    coco_average_precision,
+)
 from droptrack.report import Report, Value
-
-# what Darknet's `detector map` counts
-LEAST_SCORE, MAX_IOU = 0.005, 0.45
 
 
 def darknet_detector(

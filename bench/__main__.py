@@ -17,25 +17,25 @@ from rich.table import Table
 
 from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
 from data_gen.make_dataset import Recipe, make_dataset
-from data_gen.scenes import SCENES
-from droptrack.appearance import describe_nothing
-from droptrack.centroid import centres_of_mass
+from data_gen.scenes.arrangements import SCENES
 from droptrack.command_line import new_app, progress_bar
-from droptrack.compiled import compiled
-from droptrack.darknet_files import read_cfg
-from droptrack.deepsort import Parameters
-from droptrack.detections import Detections, labels
-from droptrack.detector import Detector, select
-from droptrack.engine_choice import Network, choose_detector
-from droptrack.metrics import average_precision
-from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
-from droptrack.pipeline import FURTHER_COLUMNS, Results
-from droptrack.recorder import Recorder
-from droptrack.threads import side_by_side
-from droptrack.tracker_choice import TrackerName, make_tracker
-from droptrack.trajectories import TrajectoryWriter
-from droptrack.validation import darknet_detector
-from droptrack.video import Video
+from droptrack.data.detections import Detections, labels
+from droptrack.data.trajectories import TrajectoryWriter
+from droptrack.data.video import Video
+from droptrack.detection.decoding import select
+from droptrack.detection.detector import Detector
+from droptrack.detection.engine_choice import Network, choose_detector
+from droptrack.evaluation.average_precision import average_precision
+from droptrack.evaluation.validation import darknet_detector
+from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
+from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.darknet_cfg import read_cfg
+from droptrack.pipeline.run import FURTHER_COLUMNS, Results
+from droptrack.pipeline.threads import side_by_side
+from droptrack.tracking.appearance import describe_nothing
+from droptrack.tracking.choice import TrackerName, make_tracker
+from droptrack.tracking.deepsort import Parameters
+from droptrack.tracking.recorder import Recorder
 
 app = new_app()
 console = Console()
@@ -77,7 +77,7 @@ def stages(frames: int = 600) -> None:
         source = Video(str(folder / "video.avi")).numbered()
         # the first of each is slower
         detector.detect([next(source)[1]])
-        compiled("centroid")
+        load_loops()
         with TrajectoryWriter(folder / "trajectories.csv", {}, FURTHER_COLUMNS) as rows:
             results = Results(rows)
             for _ in range(frames):

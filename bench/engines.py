@@ -25,31 +25,27 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.random_network import random_weights
-from data_gen.droplets import WHITE, draw_ellipses
 from data_gen.make_dataset import JPEG_QUALITY
-from data_gen.scenes import SCENES
-from droptrack import DroptrackError
-from droptrack.appearance import describe_nothing
+from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.shapes import WHITE, draw_ellipses
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.darknet_files import (
-    Cfg,
-    cfg_text,
-    read_cfg,
-    read_weights,
-    resized,
-    write_weights,
-)
-from droptrack.deepsort import Parameters
-from droptrack.detections import Detections, labels
-from droptrack.detector import Detector, Engine
-from droptrack.engine_choice import Backend, Network, Precision, choose_detector
-from droptrack.engines.opencv_dnn import OpenCvEngine
-from droptrack.flaws import photographed
-from droptrack.metrics import average_precision
-from droptrack.network_choice import SHIPPED, SHIPPED_WEIGHTS, find_cfg, parse_size
-from droptrack.pipeline import FURTHER_COLUMNS, Results, follow
-from droptrack.pruning import NOTHING, pruned
-from droptrack.quantisation import (
+from droptrack.data.degradation import photographed
+from droptrack.data.detections import Detections, labels
+from droptrack.data.frames import Frame, grey_frame
+from droptrack.data.stage_times import STAGES
+from droptrack.data.trajectories import TrajectoryWriter
+from droptrack.data.video import Video, VideoInfo, VideoWriter
+from droptrack.detection.detector import Detector, Engine
+from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
+from droptrack.detection.engines.opencv_dnn import OpenCvEngine
+from droptrack.errors import DroptrackError
+from droptrack.evaluation.average_precision import average_precision
+from droptrack.evaluation.validation import darknet_detector
+from droptrack.network.bundled import SHIPPED, SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, resized
+from droptrack.network.darknet_weights import read_weights, write_weights
+from droptrack.network.pruning import NOTHING, pruned
+from droptrack.network.quantisation import (
     Calibration,
     find_calibration,
     joined,
@@ -57,11 +53,10 @@ from droptrack.quantisation import (
     sha256_of,
     write_calibration,
 )
-from droptrack.stage_times import STAGES
-from droptrack.tracker_choice import TrackerName, make_tracker
-from droptrack.trajectories import TrajectoryWriter
-from droptrack.validation import darknet_detector
-from droptrack.video import Frame, Video, VideoInfo, VideoWriter, grey_frame
+from droptrack.pipeline.run import FURTHER_COLUMNS, Results, follow
+from droptrack.tracking.appearance import describe_nothing
+from droptrack.tracking.choice import TrackerName, make_tracker
+from droptrack.tracking.deepsort import Parameters
 
 SIZE = (1200, 600)
 DROPLETS = 50
@@ -203,7 +198,7 @@ def cases_of(name: str, cfg: Cfg, weights: Path, n_frames: int) -> list[Case]:
 
 def random_full(folder: Path) -> tuple[Cfg, Path]:
     """The full YOLOv3 with weights by chance, calibrated for speed only, at 416 x 224."""
-    from droptrack.engines.openvino import output_ranges
+    from droptrack.detection.engines.openvino import output_ranges
 
     cfg = resized(read_cfg(SHIPPED / "yolov3.cfg"), 416, 224)
     weights = random_weights(cfg, np.random.default_rng(0))
@@ -295,7 +290,7 @@ def network(
 
 def engine_of(cfg: Cfg, weights: Path, precision: str, calibration: Calibration | None) -> Engine:
     """OpenVINO, in int8 as calibrated."""
-    from droptrack.engines.openvino import OpenVinoEngine
+    from droptrack.detection.engines.openvino import OpenVinoEngine
 
     values = read_weights(weights, cfg)
     if precision != "int8" or calibration is None:

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
 from droptrack.command_line import new_app, one_line_errors
+from droptrack.data.arrays import Floats
 
-Floats = NDArray[np.float64]
 app = new_app()
 
 

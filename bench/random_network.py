@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from droptrack.darknet_files import WEIGHTS_VERSION, Cfg, Weights, convolutions
+from droptrack.network.darknet_cfg import Cfg, convolutions
+from droptrack.network.darknet_weights import WEIGHTS_VERSION, Weights
 
 
 def random_weights(cfg: Cfg, rng: np.random.Generator) -> Weights:

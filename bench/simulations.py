@@ -12,10 +12,10 @@ from typing import Any
 
 import typer
 
-from data_gen import color_gradient as cg
-from data_gen import free_energy as fe
-from data_gen.constriction import PAPER, SMALL
-from data_gen.settings import Device, compiled, engine, usable_device
+from data_gen.lattice_boltzmann.color_gradient import reference as cg
+from data_gen.lattice_boltzmann.constriction import PAPER, SMALL
+from data_gen.lattice_boltzmann.free_energy import reference as fe
+from data_gen.lattice_boltzmann.settings import Device, compiled, engine, usable_device
 from droptrack.command_line import new_app, one_line_errors
 
 SECONDS = 3.0  # a measurement
@@ -63,7 +63,7 @@ def constriction(params: Any, device: Device = "cpu") -> tuple[Any, int]:
 @one_line_errors
 def bench(threads: int = 0) -> None:
     """Print tables for both simulations."""
-    compiled("free_energy_engine", threads)
+    compiled("free_energy.engine", threads)
     device = usable_device("auto", typer.echo)
     base = fe.Params(rest_steps=0)
     cases: Cases = {

@@ -1,4 +1,4 @@
-"""Score trackers on the motions of `data_gen.motions` with TrackEval's metrics."""
+"""Score trackers on the motions of `data_gen.videos.motions` with TrackEval's metrics."""
 
 import time
 from collections.abc import Sequence
@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from trackeval.metrics import CLEAR, HOTA, Identity
 
-from droptrack.appearance import describe_sizes
-from droptrack.detections import Detections
-from droptrack.recorder import Recorder
-from droptrack.track_metrics import match
-from droptrack.tracks import Tracker
-from droptrack.trajectories import Trajectories
+from droptrack.data.detections import Detections
+from droptrack.data.trajectories import Trajectories
+from droptrack.evaluation.trajectory_scores import match
+from droptrack.tracking.appearance import describe_sizes
+from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.tracker import Tracker
 
-Floats = NDArray[np.float64]
 QUIET = {"PRINT_CONFIG": False}
 
 

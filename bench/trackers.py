@@ -1,6 +1,6 @@
 """How well and how fast droplets are followed, ``python -m bench.trackers``, or one command of it.
 
-The tables of docs/tracking.md. The motions are those of `data_gen.motions`, seed 0.
+The tables of docs/tracking.md. The motions are those of `data_gen.videos.motions`, seed 0.
 """
 
 import statistics
@@ -14,13 +14,13 @@ import typer
 from numpy.typing import NDArray
 
 from bench.track_scores import Score, follow, score
-from data_gen.motions import MOTIONS, Kind, Motion, make
+from data_gen.videos.motions import MOTIONS, Kind, Motion, make
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.deepsort import Parameters
-from droptrack.deepsort import Tracker as DeepSort
-from droptrack.detections import Detections
-from droptrack.droplet_tracker import DropletParameters, DropletTracker
-from droptrack.tracks import Tracker
+from droptrack.data.detections import Detections
+from droptrack.tracking.deepsort import Parameters
+from droptrack.tracking.deepsort import Tracker as DeepSort
+from droptrack.tracking.droplet_tracker import DropletParameters, DropletTracker
+from droptrack.tracking.tracker import Tracker
 
 app = new_app()
 Action = Callable[[Detections, NDArray[np.float64]], object]

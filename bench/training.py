@@ -18,14 +18,14 @@ from rich.table import Table
 
 from data_gen.make_dataset import Recipe, make_dataset
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.darknet_binary import DarknetSettings, find_darknet, identify
-from droptrack.darknet_files import Cfg, cfg_text, read_cfg, with_options
-from droptrack.darknet_train import DarknetTraining
-from droptrack.dataset import read_data_file
-from droptrack.network_choice import SHIPPED
-from droptrack.torch_devices import choose_devices
-from droptrack.torch_train import Job, Settings, train
-from droptrack.training_log import Step
+from droptrack.data.darknet_dataset import read_data_file
+from droptrack.network.bundled import SHIPPED
+from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
+from droptrack.training.darknet.binary import DarknetSettings, find_darknet, identify
+from droptrack.training.darknet.training import DarknetTraining
+from droptrack.training.log import Step
+from droptrack.training.pytorch.devices import choose_devices
+from droptrack.training.pytorch.training import Job, Settings, train
 
 app = new_app()
 WARM_UP = 2  # iterations that are not counted

@@ -15,11 +15,12 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from data_gen.scenes import HEIGHT, SCENES, WIDTH
-from droptrack import DroptrackError
+from data_gen.scenes.arrangements import HEIGHT, SCENES, WIDTH
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.dataset import image_name, label_text, write_data_file, write_scenes
-from droptrack.flaws import photographed
+from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
+from droptrack.data.degradation import photographed
+from droptrack.data.files import write_text
+from droptrack.errors import DroptrackError
 
 JPEG_QUALITY = 95
 
@@ -69,9 +70,7 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     spoilt = rng.random() < recipe.spoilt
     image = photographed(scene.image, rng) if spoilt else scene.image
     path.write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
-    partial = path.with_suffix(".partial")
-    partial.write_text(label_text(scene.boxes, WIDTH, HEIGHT), encoding="ascii")
-    os.replace(partial, path.with_suffix(".txt"))
+    write_text(path.with_suffix(".txt"), label_text(scene.boxes, WIDTH, HEIGHT))
 
 
 def picture_source(

@@ -1,9 +1,9 @@
 """Command: videos of moving droplets with their exact truth, ``python -m data_gen.simulate``."""
 
-from data_gen.constriction import constriction
-from data_gen.motions import motions
-from data_gen.shear import shear
-from data_gen.sine import sine
+from data_gen.lattice_boltzmann.constriction import constriction
+from data_gen.lattice_boltzmann.shear import shear
+from data_gen.videos.motions import motions
+from data_gen.videos.sine import sine
 from droptrack.command_line import new_app, one_line_errors
 
 app = new_app()

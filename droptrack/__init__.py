@@ -1,7 +1,6 @@
-"""Find and follow droplets in videos of flowing emulsions."""
+"""Find and track droplets in videos of flowing emulsions."""
 
-__version__ = "0.1.0"
+from droptrack.errors import DroptrackError
+from droptrack.version import __version__
 
-
-class DroptrackError(Exception):
-    """A problem the user can mend: names the file or setting, what was tried and the cure."""
+__all__ = ["DroptrackError", "__version__"]

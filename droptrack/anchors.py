@@ -5,14 +5,12 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
-from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.darknet_files import cfg_text, read_cfg, with_options, yolo_heads
-from droptrack.dataset import DataSet, read_data_file, read_labels
-
-Floats = NDArray[np.float64]
+from droptrack.data.arrays import Floats
+from droptrack.data.darknet_dataset import DataSet, read_data_file, read_labels
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import cfg_text, read_cfg, with_options, yolo_heads
 
 
 def box_sizes(data: DataSet, width: int, height: int) -> Floats:
@@ -88,7 +86,7 @@ def main(
         typer.echo(f"{name}: mean overlap {overlap:.4f} with the best of {len(shown)} anchors")
     typer.echo(f"anchors={text}")
     if figure is not None:
-        from droptrack.plots import plot_anchors
+        from droptrack.training.plots import plot_anchors
 
         plot_anchors(figure, sizes, anchors)
     if write is not None:

@@ -7,17 +7,19 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.darknet_files import Cfg, Weights, read_cfg, read_weights, resized
-from droptrack.dataset import read_data_file, read_image, read_truth
-from droptrack.detections import Detections
-from droptrack.detector import Detector, Engine
-from droptrack.flaws import photographed
-from droptrack.metrics import LEAST_SCORE, MAX_IOU, Pair, average_precision
-from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
-from droptrack.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
-from droptrack.quantisation import (
+from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
+from droptrack.data.degradation import photographed
+from droptrack.data.detections import Detections
+from droptrack.data.frames import Frame
+from droptrack.detection.detector import Detector, Engine
+from droptrack.errors import DroptrackError
+from droptrack.evaluation.average_precision import LEAST_SCORE, MAX_IOU, Pair, average_precision
+from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.darknet_cfg import Cfg, read_cfg, resized
+from droptrack.network.darknet_weights import Weights, read_weights
+from droptrack.network.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
+from droptrack.network.quantisation import (
     MAX_LOSS,
     Calibration,
     joined,
@@ -25,7 +27,6 @@ from droptrack.quantisation import (
     sha256_of,
     write_calibration,
 )
-from droptrack.video import Frame
 
 PRUNING_ERROR = 2e-4  # docs/performance.md
 MAX_LOSSES = (MAX_LOSS, 0.01)  # of mAP, as drawn and as a bad camera shows it, else:
@@ -62,7 +63,7 @@ def main(
     less; without pruning, it refuses what costs more than 0.2 points.
     """
     try:
-        from droptrack.engines.openvino import OpenVinoEngine, output_ranges
+        from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
     except ImportError:
         raise DroptrackError("calibrating needs: pip install 'droptrack[openvino]'") from None
     weights = weights or SHIPPED_WEIGHTS
@@ -117,8 +118,8 @@ def prunings(
     cfg: Cfg, weights: Weights, pictures: Sequence[Path], error: float
 ) -> Iterator[Pruning]:
     """What to leave out for an error, for a fourth of it, for a sixteenth, and nothing."""
-    from droptrack.engines.openvino import layer_outputs
-    from droptrack.onnx_export import folded_convolutions
+    from droptrack.detection.engines.openvino import layer_outputs
+    from droptrack.network.onnx_export import folded_convolutions
 
     if error:
         kernels = {i: kernel for i, (kernel, _) in folded_convolutions(cfg, weights).items()}

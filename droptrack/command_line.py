@@ -18,7 +18,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from droptrack import DroptrackError
+from droptrack.errors import DroptrackError
 
 P = ParamSpec("P")
 R = TypeVar("R")

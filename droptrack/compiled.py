@@ -1,33 +1,35 @@
-"""Loops that Numba compiles, beside the arrays of the module that they stand for."""
+"""Loops that Numba compiles: a module ``x`` may have a twin ``x_numba``, the same but faster."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from threading import Timer
 from types import ModuleType
 
-NAMES = ("centroid", "detector")
 SLOW = 2.0  # seconds; what was compiled before is loaded in one
 
 
 @functools.cache
-def compiled(name: str) -> ModuleType | None:
-    """The module ``droptrack.<name>_numba``, which does the same as ``droptrack.<name>`` sooner.
+def compiled_twin(module: str) -> ModuleType | None:
+    """The twin of a module, by the module's name.
 
-    None where Numba is not installed, or finds no folder to keep what it compiled.
+    None where Numba is not installed, or finds no folder to keep what it compiled. Constants of the
+    module go to its twin as arguments: Numba keeps what it compiled until the twin's own file
+    changes, so that a constant which the twin imported would be the old one.
     """
     try:
-        return import_module(f"droptrack.{name}_numba")
+        return import_module(f"{module}_numba")
     except (ImportError, RuntimeError):
         return None
 
 
-def load_all(say: Callable[[str], object]) -> None:
-    """Load all that is compiled, and tell a user who has to wait for it why."""
+@contextmanager
+def explained(say: Callable[[str], object]) -> Iterator[None]:
+    """Tell who has to wait for twins to be loaded why."""
     waiting = Timer(SLOW, say, ["compiling loops, once after an installation: some ten seconds"])
     waiting.start()
     try:
-        for name in NAMES:
-            compiled(name)
+        yield
     finally:
         waiting.cancel()

@@ -10,18 +10,18 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.darknet_files import Cfg, read_cfg
-from droptrack.dataset import DataSet, read_data_file, read_scenes
-from droptrack.detector import Detector
-from droptrack.engine_choice import Backend, Precision
-from droptrack.metrics import LEAST_SCORE, MAX_IOU
-from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg
-from droptrack.report import Report, Value
-from droptrack.track_metrics import DropletScore, match, score_droplets
-from droptrack.trajectories import Trajectories, read_trajectories
-from droptrack.validation import darknet_detector, detect_images, network_report
+from droptrack.data.darknet_dataset import DataSet, read_data_file, read_scenes
+from droptrack.data.report import Report, Value
+from droptrack.data.trajectories import Trajectories, read_trajectories
+from droptrack.detection.detector import Detector
+from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.errors import DroptrackError
+from droptrack.evaluation.average_precision import LEAST_SCORE, MAX_IOU
+from droptrack.evaluation.trajectory_scores import DropletScore, match, score_droplets
+from droptrack.evaluation.validation import darknet_detector, detect_images, network_report
+from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.darknet_cfg import Cfg, read_cfg
 
 MSE_NAMES = [field.name for field in fields(DropletScore) if field.name.startswith("mse")]
 

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.darknet_files import read_cfg, read_weights, resized
-from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.darknet_cfg import read_cfg, resized
+from droptrack.network.darknet_weights import read_weights
 
 app = new_app()
 
@@ -32,7 +33,7 @@ def main(
     ] = False,
 ) -> None:
     """Write a network as an ONNX model, which nearly every inference engine reads."""
-    from droptrack.onnx_export import onnx_model, write_onnx
+    from droptrack.network.onnx_export import onnx_model, write_onnx
 
     weights = weights or SHIPPED_WEIGHTS
     network = read_cfg(cfg or find_cfg(weights))

@@ -8,22 +8,25 @@ from typing import Annotated
 
 import typer
 
-from droptrack import DroptrackError, __version__
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.compiled import load_all
-from droptrack.darknet_files import read_cfg, resized
-from droptrack.deepsort import Parameters
-from droptrack.engine_choice import Backend, Network, Precision, choose_detector
-from droptrack.from_detections import track_detections
-from droptrack.network_choice import SHIPPED_WEIGHTS, find_cfg, parse_size
-from droptrack.pipeline import FURTHER_COLUMNS, Results, finish, follow
-from droptrack.quantisation import sha256_of
-from droptrack.report import Value
-from droptrack.stage_times import StageTimes
-from droptrack.threads import AnnotatedVideo
-from droptrack.tracker_choice import TrackerName, choose_appearance, make_tracker
-from droptrack.trajectories import TrajectoryWriter
-from droptrack.video import Video, VideoWriter
+from droptrack.compiled import explained
+from droptrack.data.report import Value
+from droptrack.data.stage_times import StageTimes
+from droptrack.data.trajectories import TrajectoryWriter
+from droptrack.data.video import Video, VideoWriter
+from droptrack.detection import decoding
+from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
+from droptrack.errors import DroptrackError
+from droptrack.measurement import centre_of_mass
+from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.darknet_cfg import read_cfg, resized
+from droptrack.network.quantisation import sha256_of
+from droptrack.pipeline.from_detections import track_detections
+from droptrack.pipeline.run import FURTHER_COLUMNS, Results, finish, follow
+from droptrack.pipeline.threads import AnnotatedVideo
+from droptrack.tracking.choice import TrackerName, choose_appearance, make_tracker
+from droptrack.tracking.deepsort import Parameters
+from droptrack.version import __version__
 
 app = new_app()
 
@@ -119,7 +122,9 @@ def main(
     info = source.info
     live = source.live if live is None else live
     say = functools.partial(typer.echo, err=True)
-    load_all(say)
+    with explained(say):
+        decoding.load_loops()
+        centre_of_mass.load_loops()
     detector = choose_detector(
         Network(network, weights, score, max_iou, dark), backend, precision, live=live, say=say
     )

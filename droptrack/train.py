@@ -14,26 +14,27 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from droptrack import DroptrackError
 from droptrack.command_line import new_app, one_line_errors, progress_bar
-from droptrack.darknet_binary import (
+from droptrack.data.darknet_dataset import read_data_file
+from droptrack.errors import DroptrackError
+from droptrack.evaluation.validation import mean_ap
+from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
+from droptrack.network.darknet_weights import read_weights
+from droptrack.training.checks import (
+    check_for_darknet,
+    check_for_torch,
+    check_network,
+    check_pictures,
+)
+from droptrack.training.darknet.binary import (
     Darknet,
     DarknetSettings,
     find_darknet,
     furthest_weights,
     identify,
 )
-from droptrack.darknet_files import Cfg, cfg_text, read_cfg, read_weights, with_options
-from droptrack.darknet_train import DarknetTraining
-from droptrack.dataset import read_data_file
-from droptrack.training_checks import (
-    check_for_darknet,
-    check_for_torch,
-    check_network,
-    check_pictures,
-)
-from droptrack.training_log import Step, write_run_file
-from droptrack.validation import mean_ap
+from droptrack.training.darknet.training import DarknetTraining
+from droptrack.training.log import Step, write_run_file
 
 
 class Trainer(StrEnum):
@@ -176,8 +177,8 @@ def main(
                 "found no Darknet (--darknet, $DARKNET, PATH), and no PyTorch: "
                 "pip install 'droptrack[train]'"
             )
-        from droptrack.torch_devices import choose_devices, machine
-        from droptrack.torch_train import Job, Settings, train
+        from droptrack.training.pytorch.devices import choose_devices, machine
+        from droptrack.training.pytorch.training import Job, Settings, train
 
         check_for_torch(network)
         pair = parse_pair(window, "x", "--window")

@@ -9,12 +9,12 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 from typer.testing import CliRunner
 
-from data_gen.droplets import BLACK, WHITE, draw_contour, draw_ellipses
+from data_gen.scenes.shapes import BLACK, WHITE, draw_contour, draw_ellipses
 from data_gen.simulate import app as simulate
-from droptrack import centroid, detector
-from droptrack.compiled import compiled
-from droptrack.trajectories import sorted_trajectories, write_trajectories
-from droptrack.video import VideoInfo, VideoWriter
+from droptrack.data.trajectories import sorted_trajectories, write_trajectories
+from droptrack.data.video import VideoInfo, VideoWriter
+from droptrack.detection import decoding
+from droptrack.measurement import centre_of_mass
 
 
 @pytest.fixture
@@ -24,8 +24,8 @@ def arrays(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextManag
     @contextmanager
     def without_loops() -> Iterator[None]:
         with monkeypatch.context() as patch:
-            for module in (centroid, detector):
-                patch.setattr(module, "compiled", lambda _: None)
+            for module in (centre_of_mass, decoding):
+                patch.setattr(module, "load_loops", lambda: None)
             yield
 
     return without_loops
@@ -41,8 +41,8 @@ def implementation(
             yield
     else:
         pytest.importorskip("numba")
-        assert compiled("centroid") is not None
-        assert compiled("detector") is not None
+        assert centre_of_mass.load_loops() is not None
+        assert decoding.load_loops() is not None
         yield
 
 

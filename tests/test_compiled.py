@@ -13,7 +13,7 @@ def test_who_has_to_wait_is_told_why(
 ) -> None:
     said: list[str] = []
     monkeypatch.setattr(compiled, "SLOW", 0.2)
-    monkeypatch.setattr(compiled, "compiled", lambda _: time.sleep(seconds))
-    compiled.load_all(said.append)
+    with compiled.explained(said.append):
+        time.sleep(seconds)
     time.sleep(0.3)
     assert len(said) == n_said

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 
 from data_gen.simulate import app
 from droptrack import track
-from droptrack.track_metrics import match, score_droplets
-from droptrack.trajectories import Trajectories, read_trajectories
+from droptrack.data.trajectories import Trajectories, read_trajectories
+from droptrack.evaluation.trajectory_scores import match, score_droplets
 
 pytest.importorskip("numba")
 RUNNER = CliRunner()

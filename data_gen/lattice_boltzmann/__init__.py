@@ -1,0 +1,1 @@
+"""Lattice Boltzmann simulations of emulsions: videos with their exact ground truth."""

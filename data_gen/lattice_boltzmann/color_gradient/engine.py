@@ -1,0 +1,107 @@
+"""A running colour-gradient simulation: its state in the layout of the compiled kernels."""
+
+from dataclasses import replace
+
+import numpy as np
+from numba import get_num_threads
+from numpy.typing import NDArray
+
+from data_gen.lattice_boltzmann import lattice
+from data_gen.lattice_boltzmann.color_gradient import reference as cg
+from data_gen.lattice_boltzmann.color_gradient.compiled import Constants, Links, advance
+from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes, wall_push
+from data_gen.lattice_boltzmann.lattice import CX, CY, OPPOSITE
+from droptrack.data.arrays import Bools, Floats
+
+
+def wall_links(solid: Bools) -> Links:
+    """Links of a closed box with solid nodes."""
+    blocked = np.pad(solid, 1, constant_values=True)
+    hits = [~solid & lattice.shifted(blocked, -CX[i], -CY[i]) for i in range(9)]
+    i, y, x = np.nonzero(np.array(hits))
+    order = np.lexsort((i, x, y))
+    start = np.searchsorted(y[order], np.arange(len(solid) + 1))
+    return Links(start, x[order], OPPOSITE[i[order]].astype(np.int64), i[order])
+
+
+def spans_of(labels: Floats) -> NDArray[np.int64]:
+    """First and last + 1 column of what is not 0, (N, h + 2, 2), of labels (N, h + 2, w + 2).
+
+    Columns without the rim; w, 0 where a row is empty.
+    """
+    there = labels[:, :, 1:-1] != 0
+    w = there.shape[2]
+    some = there.any(axis=2)
+    first = np.where(some, there.argmax(axis=2), w)
+    last = np.where(some, w - there[:, :, ::-1].argmax(axis=2), 0)
+    return np.ascontiguousarray(np.stack([first, last], axis=-1).astype(np.int64))
+
+
+def constants(params: Params) -> Constants:
+    """The constants of a parameter set."""
+    p = params
+    values = (
+        p.beta,
+        1 / p.tau,
+        4.5 * p.sigma / p.tau,
+        p.near_contact * p.sigma,
+        p.contact_distance,
+        p.wall_force,
+        p.rho_0,
+    )
+    return Constants(*map(float, values))
+
+
+class Engine:
+    """A running simulation: holds the fields in the kernels' layout."""
+
+    device = "the CPU"
+
+    def __init__(self, params: Params, state: cg.State) -> None:
+        self.params = params
+        self._state = replace(state, f=state.f.copy())
+        self._constants = constants(params)
+        solid = solid_nodes(params)
+        self._links = wall_links(solid)
+        self._fluid = np.where(solid, 0.0, 1.0)
+        self._push = wall_push(params)
+        shape = (params.height + 2, params.width + 2)
+        self._post, self._q_e = np.zeros((9, *shape)), np.zeros((2, *shape))
+
+    @property
+    def state(self) -> cg.State:
+        """The state now; the next run overwrites its f."""
+        return self._state
+
+    def run(self, steps: int) -> None:
+        """Advance by a number of steps."""
+        end = self._state.step + steps
+        while self._state.step < end:
+            step = self._state.step
+            if step % cg.RECENTRE_STEPS == 0:
+                self._state = cg.recentre(self.params, self._state)
+            until = min(step - step % cg.RECENTRE_STEPS + cg.RECENTRE_STEPS, end)
+            self._advance(until - step)
+
+    def _advance(self, steps: int) -> None:
+        """Steps without a move of the windows."""
+        s = self._state
+        inlet = [
+            6 * self.params.rho_0 * self.params.inlet_velocity(s.step + k) for k in range(steps)
+        ]
+        rim = ((0, 0), (1, 1), (1, 1))
+        e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, rim)
+        q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), self._e_spans()
+        e, labels = advance(
+            steps, s.f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(),
+            q, spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
+            self._links, np.array(inlet), self._constants, 8 * get_num_threads(),
+        )  # fmt: skip
+        inner = (slice(1, -1), slice(1, -1))
+        fields = e[inner].copy(), labels[(slice(None), *inner)].copy()
+        self._state = cg.State(s.f, *fields, s.origins, s.step + steps)
+
+    def _e_spans(self) -> NDArray[np.int64]:
+        """Spans of where the emulsion or any droplet is, (H + 2, 2)."""
+        there = (self._state.emulsion != 0) | (cg.label_sum(self._state) != 0)
+        return np.asarray(spans_of(np.pad(there, 1)[None].astype(float))[0])

@@ -1,0 +1,1 @@
+"""Drawn images: shapes, and how scenes arrange them."""

@@ -1,0 +1,1 @@
+"""Drawn videos and motions with their exact ground truth."""

@@ -1,0 +1,236 @@
+"""Command: droplets that are hard to follow, as truth and as a detector's faulty output.
+
+There are no pictures: a tracker sees only boxes. Speeds are in droplet diameters a frame.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from data_gen.videos.sine import place_droplets
+from droptrack.data.arrays import Floats
+from droptrack.data.detections import Detections
+from droptrack.data.mot_files import write_detections
+from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
+from droptrack.errors import DroptrackError
+from droptrack.version import __version__
+
+Flow = Callable[[Floats], Floats]  # places (N, 2) -> velocities (N, 2), px a frame
+
+WIDTH, HEIGHT = 1200.0, 600.0
+CLEARANCE = 1.1  # least distance of droplets at the start, in diameters
+HEXAGONAL_SPACING = 1.05  # diameters
+DISORDER = 0.03  # of a packing's places, in spacings
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A kind of motion: its flow, the droplets in the picture, their diameter in px, the frames."""
+
+    kind: str
+    speed: float = 0.3
+    droplets: int = 410
+    diameter: float = 20.0
+    frames: int = 100
+    missing: float = 0.0  # share of droplets without a box, each frame
+    false: float = 0.0  # share of boxes without a droplet
+    jitter: float = 0.0  # standard deviation of a box's place and size, in diameters
+
+
+class Kind(StrEnum):
+    """What the droplets do."""
+
+    sine = "sine"  # the paper's paths (Eq. D1)
+    crossing = "crossing"  # two swarms through each other
+    uniform = "uniform"
+    shear = "shear"  # from rest at the top to full speed at the bottom
+    channel = "channel"  # Poiseuille's parabola: droplets enter and leave
+    vortices = "vortices"  # Taylor and Green's
+    growing = "growing"  # a channel in which half of them double their size, half halve it
+    packing = "packing"  # a dense hexagonal patch that moves by half a spacing a frame
+    filled = "filled"  # the same, all over the picture
+    # a lattice without disorder has no answer but its edge
+
+
+MOTIONS = {
+    "sine": Motion(Kind.sine, droplets=12, frames=150),
+    "crossing": Motion(Kind.crossing, droplets=80),
+    **{f"uniform {u:g}": Motion(Kind.uniform, speed=u, frames=60) for u in (0.5, 1, 1.5, 2)},
+    **{f"shear {u:g}": Motion(Kind.shear, speed=u, frames=60) for u in (0.5, 1, 1.5, 2)},
+    "packing": Motion(Kind.packing, droplets=200, frames=60),
+    "filled": Motion(Kind.filled, diameter=36, frames=60),
+    **{f"missing {p:.0%}": Motion(Kind.vortices, missing=p) for p in (0.1, 0.2, 0.3)},
+    **{f"false {p:.0%}": Motion(Kind.vortices, false=p) for p in (0.05, 0.1, 0.2)},
+    **{f"jitter {p:.0%}": Motion(Kind.vortices, jitter=p) for p in (0.05, 0.1, 0.2)},
+    "missing 10% false 5%": Motion(Kind.vortices, missing=0.1, false=0.05),
+    "thousand": Motion(Kind.vortices, droplets=1080, diameter=14, frames=60),
+    "growing": Motion(Kind.growing, speed=0.5),
+    "entering and leaving": Motion(Kind.channel, speed=0.8),
+}
+
+
+def scattered(rng: np.random.Generator, motion: Motion, length: float) -> Floats:
+    """Places (N, 2), as dense as wanted, in a strip of the picture's height from -length on.
+
+    A hexagonal lattice, each place moved at random as far as it can without touching others.
+    """
+    spacing = float(np.sqrt(2 / np.sqrt(3) * WIDTH * HEIGHT / motion.droplets))
+    room = (spacing - CLEARANCE * motion.diameter) / 2
+    if room <= 0:
+        raise DroptrackError(f"no room for {motion.droplets} droplets; take fewer")
+    places = lattice(spacing, -length, WIDTH, 0, HEIGHT)
+    angle, radius = rng.uniform(0, 2 * np.pi, len(places)), room * np.sqrt(rng.random(len(places)))
+    return np.asarray(places + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+
+
+def lattice(spacing: float, left: float, right: float, top: float, bottom: float) -> Floats:
+    """Places (N, 2) of a hexagonal lattice, rows along x."""
+    row, column = np.mgrid[
+        : int((bottom - top) / spacing / np.sqrt(0.75)) + 1, : int((right - left) / spacing) + 1
+    ].reshape(2, -1)
+    return np.column_stack(
+        [left + (column + row % 2 / 2) * spacing, top + row * np.sqrt(0.75) * spacing]
+    )
+
+
+def carried(places: Floats, flow: Flow, n_frames: int, steps: int = 8) -> Floats:
+    """Paths (N, T, 2) of points that go with a flow (midpoint rule)."""
+    paths = [places]
+    for _ in range(n_frames - 1):
+        at = paths[-1]
+        for _ in range(steps):
+            at = at + flow(at + flow(at) / (2 * steps)) / steps
+        paths.append(at)
+    return np.stack(paths, axis=1)
+
+
+def flow_of(kind: str, speed: float) -> Flow:
+    """The velocity field of a kind of motion; `speed` in px a frame."""
+
+    def flow(at: Floats) -> Floats:
+        x, y = at[:, 0], at[:, 1]
+        u, v = np.full_like(x, speed), np.zeros_like(x)
+        if kind == Kind.shear:
+            u = speed * y / HEIGHT
+        elif kind in (Kind.channel, Kind.growing):
+            u = speed * 4 * y * (HEIGHT - y) / HEIGHT**2
+        elif kind == Kind.vortices:
+            k = 2 * np.pi / HEIGHT
+            u, v = speed * np.sin(k * x) * np.cos(k * y), -speed * np.cos(k * x) * np.sin(k * y)
+        return np.column_stack([u, v])
+
+    return flow
+
+
+def move(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats]:
+    """Paths (N, T, 2) and diameters (N, T) of the droplets, px, in and around the picture."""
+    kind, n_frames = motion.kind, motion.frames
+    speed = motion.speed * motion.diameter
+    if kind == Kind.sine:
+        size = (int(WIDTH), int(HEIGHT))
+        paths, radii = place_droplets(
+            rng, motion.droplets, size, n_frames, (16.0, 30.0), (5.0, 5.0, 5.0)
+        )
+        return paths, np.repeat(2 * radii[:, None], n_frames, axis=1)
+    spacing = HEXAGONAL_SPACING * motion.diameter
+    if kind in (Kind.packing, Kind.filled):
+        side = np.sqrt(motion.droplets) * spacing
+        step = spacing / 2
+        places = (
+            lattice(spacing, 30, 30 + side, 60, 60 + side)
+            if kind == Kind.packing
+            else lattice(spacing, -step * n_frames, WIDTH, 0, HEIGHT)
+        )
+        places = places + rng.normal(0, DISORDER * spacing, places.shape)
+        paths = places[:, None] + np.arange(n_frames)[:, None] * [step, 0.0]
+    elif kind == Kind.crossing:
+        half = replace(motion, droplets=motion.droplets // 2)
+        swarms = [scattered(rng, half, 0) for _ in range(2)]
+        t = np.arange(n_frames)[:, None]
+        ways = np.array([[1.0, 0.25], [-1.0, 0.25]]) * speed
+        paths = np.concatenate([s[:, None] + t * way for s, way in zip(swarms, ways, strict=True)])
+    else:
+        length = 0 if kind == Kind.vortices else speed * n_frames
+        paths = carried(scattered(rng, motion, length), flow_of(kind, speed), n_frames)
+    if kind == Kind.vortices:  # without those that go out and come back
+        inside = (paths > motion.diameter) & (paths < [WIDTH, HEIGHT] - np.array(motion.diameter))
+        paths = paths[inside.all(axis=(1, 2))]
+    diameters = motion.diameter * rng.uniform(0.9, 1.1, len(paths))[:, None]
+    growth = rng.choice([-1, 1], len(paths))[:, None] if kind == Kind.growing else 0
+    if kind == Kind.growing:
+        diameters = 0.8 * diameters
+    grown = diameters * 2.0 ** (growth * np.linspace(-0.5, 0.5, n_frames))
+    return paths, np.broadcast_to(grown, paths.shape[:2])
+
+
+def truth_of(paths: Floats, diameters: Floats) -> Trajectories:
+    """Those droplets that are wholly in the picture."""
+    margin = diameters[..., None] / 2
+    there = ((paths >= margin) & (paths <= [WIDTH, HEIGHT] - margin)).all(axis=2)
+    droplet, frame = np.nonzero(there)
+    size = diameters[there]
+    boxes = np.column_stack([paths[there], size, size])
+    return sorted_trajectories(
+        frame.astype(np.int64),
+        droplet.astype(np.int64) + 1,
+        boxes[:, 0],
+        boxes[:, 1],
+        boxes,
+        np.ones(len(size)),
+        np.ones(len(size), bool),
+    )
+
+
+def detect(rng: np.random.Generator, truth: Trajectories, motion: Motion) -> list[Detections]:
+    """What a detector would find, frame by frame: some missed, some false, all a little off."""
+    found = []
+    for frame in range(motion.frames):
+        boxes = truth.boxes[truth.frame == frame]
+        n_false = rng.poisson(motion.false * len(boxes))
+        boxes = boxes[rng.random(len(boxes)) >= motion.missing]
+        size = np.repeat(motion.diameter * rng.uniform(0.8, 1.2, (n_false, 1)), 2, axis=1)
+        false = np.hstack([rng.uniform(0, 1, (n_false, 2)) * [WIDTH, HEIGHT], size])
+        noise = rng.normal(0, 1, boxes.shape) * motion.jitter * boxes[:, 2:3]
+        noise[:, 2:] = np.maximum(noise[:, 2:], -0.5 * boxes[:, 2:])
+        boxes = rng.permutation(np.vstack([boxes + noise, false]))
+        found.append(Detections(boxes, np.ones(len(boxes)), np.zeros(len(boxes), np.int64)))
+    return found
+
+
+def make(motion: Motion, seed: int) -> tuple[Trajectories, list[Detections]]:
+    """The truth of a motion and what a detector finds of it in each frame."""
+    rng = np.random.default_rng(seed)
+    truth = truth_of(*move(rng, motion))
+    return truth, detect(rng, truth, motion)
+
+
+def motions(
+    out: Annotated[Path, typer.Option(help="Folder for detections.txt and truth.csv.")],
+    kind: Annotated[Kind, typer.Option(help="What the droplets do.")] = Kind.vortices,
+    speed: Annotated[float, typer.Option(min=0, help="Diameters a frame, at most.")] = 0.3,
+    droplets: Annotated[int, typer.Option(min=1, help="In the picture.")] = 300,
+    diameter: Annotated[float, typer.Option(min=1, help="px")] = 20.0,
+    frames: Annotated[int, typer.Option(min=1)] = 100,
+    missing: Annotated[float, typer.Option(min=0, max=1, help="Share not detected.")] = 0.0,
+    false: Annotated[float, typer.Option(min=0, max=1, help="Share of false ones.")] = 0.0,
+    jitter: Annotated[float, typer.Option(min=0, help="Of a box, in diameters.")] = 0.0,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+) -> None:
+    """Detections of droplets that are hard to follow, without a video, and their truth."""
+    motion = Motion(kind, speed, droplets, diameter, frames, missing, false, jitter)
+    truth, found = make(motion, seed)
+    out.mkdir(parents=True, exist_ok=True)
+    about = {
+        "made by": f"droptrack {__version__}, data_gen.simulate motions",
+        "parameters": f"{motion}, seed={seed}",
+        "video": f"none, {WIDTH:g} x {HEIGHT:g} px",
+    }
+    write_trajectories(out / "truth.csv", truth, about)
+    write_detections(out / "detections.txt", found)
+    n = len(np.unique(truth.track_id))
+    typer.echo(f"{out / 'detections.txt'}: {n} droplets, {frames} frames; truth in truth.csv")

@@ -1,0 +1,1 @@
+"""Frames -> boxes: the detector, the engines that run the network, the choice of one."""

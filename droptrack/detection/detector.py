@@ -1,0 +1,115 @@
+"""Frames -> detections: what an engine does, and what all engines share."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple, Protocol
+
+import cv2
+
+from droptrack.data.arrays import Float32s
+from droptrack.data.detections import Detections
+from droptrack.data.frames import Frame, negative
+from droptrack.data.stage_times import StageTimes
+from droptrack.detection.decoding import select
+from droptrack.errors import DroptrackError
+
+
+class Computed(NamedTuple):
+    """A network's outputs, and the seconds they took once their turn had come."""
+
+    outputs: Any
+    seconds: float
+
+
+class Computing(Protocol):
+    """An input on its way through a network."""
+
+    def result(self) -> Computed:
+        """Wait until it is done; raises RuntimeError or cv2.error when the engine fails."""
+
+
+class Engine(Protocol):
+    """Runs a network; each file in `engines` has one or two.
+
+    `name` says what runs it and how precisely; `parallel` is the number of inputs that it computes
+    at once, `opencv_threads` the number of threads in which it lets OpenCV compute.
+    """
+
+    name: str
+    parallel: int
+    opencv_threads: int
+
+    def prepare(self, frames: Sequence[Frame]) -> Any:
+        """Frames (H, W, 3) of one size -> the network's input."""
+
+    def start(self, prepared: Any) -> Computing:
+        """Give the network an input, and do not wait for it."""
+
+    def rows(self, outputs: Any) -> list[Float32s]:
+        """Of each frame, the decoded rows (N, 5 + C) that may be droplets, see `decode_head`."""
+
+
+class Detector:
+    """Finds droplets in frames with an engine.
+
+    `threshold`: least score of a detection; `max_iou`: overlap from which two detections are one
+    droplet; `dark`: droplets are darker than what is around them, and the network learned bright
+    ones, so that it is shown the negative; `greedy`: as for `suppress_doubles`.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        threshold: float,
+        max_iou: float,
+        *,
+        dark: bool = False,
+        greedy: bool = False,
+    ) -> None:
+        self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
+        self.dark, self.greedy = dark, greedy
+
+    def detect(self, frames: Sequence[Frame]) -> list[Detections]:
+        """The detections of each of some frames (H, W, 3) of one size, in one pass.
+
+        Raises DroptrackError when the engine fails, as for want of memory.
+        """
+        return self.start(frames, StageTimes())()
+
+    def start(self, frames: Sequence[Frame], times: StageTimes) -> Callable[[], list[Detections]]:
+        """Give frames to the network, which computes them meanwhile; wait with what is returned.
+
+        Both may raise DroptrackError.
+        """
+        height, width = frames[0].shape[:2]
+        with self._failures():
+            with times.measure("preprocess"):
+                shown = [negative(frame) for frame in frames] if self.dark else frames
+                prepared = self.engine.prepare(shown)
+            computing = self.engine.start(prepared)
+
+        def finish() -> list[Detections]:
+            with self._failures():
+                outputs, seconds = computing.result()
+            times.add("network", seconds)
+            with times.measure("decode_boxes"):
+                return [
+                    select(rows, width, height, self.threshold, self.max_iou, greedy=self.greedy)
+                    for rows in self.engine.rows(outputs)
+                ]
+
+        return finish
+
+    @contextmanager
+    def _failures(self) -> Iterator[None]:
+        try:
+            yield
+        except (RuntimeError, cv2.error) as error:
+            raise DroptrackError(
+                f"{self.engine.name}: the network failed: {first_line(error)}"
+            ) from error
+
+
+def first_line(error: Exception) -> str:
+    """What an engine has to say in one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,201 @@
+"""Which engine runs a network, and how precisely: the one named, or the fastest that works."""
+
+import ctypes.util
+import importlib.util
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from droptrack.data.frames import grey_frame
+from droptrack.detection.detector import Detector, Engine, first_line
+from droptrack.detection.engines import opencv_dnn
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_weights import Weights, read_weights
+from droptrack.network.pruning import pruned
+from droptrack.network.quantisation import find_calibration
+
+
+class Backend(StrEnum):
+    """What runs the network."""
+
+    auto = "auto"
+    opencv = "opencv"
+    opencv_cuda = "opencv-cuda"
+    openvino = "openvino"
+    torch = "torch"
+    torch_cuda = "torch-cuda"
+
+
+class Precision(StrEnum):
+    """What the network computes in."""
+
+    auto = "auto"
+    fp32 = "fp32"
+    bf16 = "bf16"
+    fp16 = "fp16"
+    int8 = "int8"
+
+
+# what each computes in; the first is what `auto` takes, but for OpenVINO the fastest of the CPU's
+PRECISIONS = {
+    Backend.torch_cuda: (Precision.fp16, Precision.bf16, Precision.fp32),
+    Backend.opencv_cuda: (Precision.fp32, Precision.fp16),
+    Backend.openvino: (Precision.fp32, Precision.bf16, Precision.int8),
+    Backend.opencv: (Precision.fp32,),
+    Backend.torch: (Precision.fp32, Precision.bf16),
+}
+ON_CPU = (Backend.openvino, Backend.opencv, Backend.torch)
+EXTRAS = {"torch": "train", "openvino": "openvino", "onnx": "openvino"}
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network as its files have it, and what `Detector` needs besides."""
+
+    cfg: Cfg
+    weights_path: Path
+    threshold: float
+    max_iou: float
+    dark: bool = False
+    greedy: bool = False
+
+    def weights(self) -> Weights:
+        """The weights; raises DroptrackError for a file that does not fit the cfg."""
+        return read_weights(self.weights_path, self.cfg)
+
+    def detector(self, engine: Engine) -> Detector:
+        """A detector with this network on an engine."""
+        return Detector(engine, self.threshold, self.max_iou, dark=self.dark, greedy=self.greedy)
+
+
+def choose_detector(
+    network: Network,
+    backend: Backend = Backend.auto,
+    precision: Precision = Precision.auto,
+    *,
+    live: bool = False,
+    say: Callable[[str], None] = lambda _: None,
+) -> Detector:
+    """A detector on the engine and with the precision wanted.
+
+    `auto` takes the fastest that is installed and computes a picture, and tells `say` which did
+    not. On a CPU, the precision `auto` and int8 have the network pruned where a calibration says
+    how. `live` asks for the shortest time a frame rather than the most frames a second. Raises
+    DroptrackError when what was named is not to be had.
+    """
+    weights = network.weights()
+    if backend is not Backend.auto:
+        return network.detector(_engine(network, weights, backend, precision, live=live))
+    reasons = []
+    for candidate in _candidates(precision):
+        try:
+            engine = _engine(network, weights, candidate, precision, live=live)
+        except DroptrackError as error:
+            reasons.append(str(error))
+            continue
+        for reason in reasons:
+            say(f"not used: {reason}")
+        return network.detector(engine)
+    cure = "" if precision is Precision.fp16 else "; pip install 'droptrack[openvino]'"
+    raise DroptrackError(
+        "; ".join(reasons) or f"--precision {precision}: no engine here has it{cure}"
+    )
+
+
+def _candidates(precision: Precision) -> Iterator[Backend]:
+    """Engines that are installed, the fastest first.
+
+    Importing PyTorch takes seconds, so it is not asked for a GPU where there is no driver; on CPUs
+    it is the slowest.
+    """
+    driver = ctypes.util.find_library("cuda") or ctypes.util.find_library("nvcuda")
+    here = {
+        Backend.torch_cuda: bool(driver) and _installed("torch"),
+        Backend.opencv_cuda: opencv_dnn.has_cuda(),
+        Backend.openvino: _installed("openvino") and _installed("onnx"),
+        Backend.opencv: True,
+        Backend.torch: precision is Precision.bf16 and _installed("torch"),
+    }
+    for backend, precisions in PRECISIONS.items():
+        if here[backend] and (precision is Precision.auto or precision in precisions):
+            yield backend
+
+
+def _installed(package: str) -> bool:
+    return importlib.util.find_spec(package) is not None
+
+
+def _engine(
+    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+) -> Engine:
+    """An engine that has computed a picture; raises DroptrackError with the reason if it cannot."""
+    if precision is not Precision.auto and precision not in PRECISIONS[backend]:
+        has = ", ".join(PRECISIONS[backend])
+        raise DroptrackError(f"--precision {precision}: {backend} computes in {has}")
+    try:
+        engine = _make(network, weights, backend, precision, live=live)
+        black = grey_frame(np.zeros((network.cfg.height, network.cfg.width), np.uint8))
+        engine.rows(engine.start(engine.prepare([black])).result().outputs)
+    except ImportError as error:
+        package = (error.name or "").partition(".")[0]
+        extra = EXTRAS.get(package)
+        cure = f"pip install 'droptrack[{extra}]'" if extra else f"it lacks {error.name}"
+        raise DroptrackError(f"--backend {backend}: is not installed; {cure}") from None
+    except (RuntimeError, cv2.error, OSError) as error:
+        reason = first_line(error)
+        raise DroptrackError(f"--backend {backend}: does not work here: {reason}") from error
+    return engine
+
+
+def _make(
+    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+) -> Engine:
+    cfg, path, threshold = network.cfg, network.weights_path, network.threshold
+    automatic = precision is Precision.auto
+    calibration = None
+    if precision is Precision.int8 or (automatic and backend in ON_CPU):
+        calibration = find_calibration(path, cfg)
+    if precision is Precision.int8 and calibration is None:
+        raise DroptrackError(
+            f"--precision int8: {path} is not calibrated for {cfg.width} x {cfg.height} px: "
+            f"python -m droptrack.calibrate --weights {path} --size {cfg.width}x{cfg.height} "
+            "--data DIR/obj.data"
+        )
+    if calibration is not None:
+        cfg, weights = pruned(cfg, weights, calibration.pruning)
+    if automatic:
+        precision = _fastest(backend, calibrated=calibration is not None)
+    engine: Engine
+    if backend in (Backend.opencv, Backend.opencv_cuda):
+        engine = opencv_dnn.OpenCvEngine(cfg, weights, backend, precision, threshold)
+    elif backend is Backend.openvino:
+        from droptrack.detection.engines.openvino import OpenVinoEngine, usable_cores
+
+        ranges = calibration.ranges if calibration and precision is Precision.int8 else None
+        streams = 1 if live else min(2, usable_cores())
+        engine = OpenVinoEngine(cfg, weights, precision, threshold, ranges, streams)
+    else:
+        from droptrack.detection.engines.pytorch import TorchCudaEngine, TorchEngine
+
+        kind = TorchCudaEngine if backend is Backend.torch_cuda else TorchEngine
+        engine = kind(cfg, weights, precision, threshold)
+    if calibration is not None and calibration.pruning.kept:
+        engine.name += ", pruned"
+    return engine
+
+
+def _fastest(backend: Backend, *, calibrated: bool) -> Precision:
+    """The precision that `auto` stands for."""
+    if backend is Backend.openvino:
+        from droptrack.detection.engines.openvino import computes_faster_in
+
+        if calibrated and computes_faster_in("int8"):
+            return Precision.int8
+        if computes_faster_in("bf16"):
+            return Precision.bf16
+    return PRECISIONS[backend][0]

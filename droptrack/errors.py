@@ -1,0 +1,5 @@
+"""The errors a user can mend."""
+
+
+class DroptrackError(Exception):
+    """A problem the user can mend: names the file or setting, what was tried and the cure."""

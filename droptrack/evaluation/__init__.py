@@ -1,0 +1,1 @@
+"""How good detections and trajectories are against the ground truth."""

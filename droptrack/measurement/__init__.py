@@ -1,0 +1,1 @@
+"""Box -> what is measured of the droplet in it, from the grey levels."""

@@ -1,0 +1,1 @@
+"""Networks as files: ``.cfg`` and ``.weights``, ONNX, pruning, quantisation, the PyTorch module."""

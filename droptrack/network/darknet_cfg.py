@@ -1,0 +1,281 @@
+"""Darknet's network files: ``.cfg`` and ``.weights``, text and bytes <-> typed values.
+
+A ``.weights`` file is little-endian: int32 major, minor, revision; then the number of images
+seen (uint64 from version 0.2 on, uint32 before); then float32 values for each
+``[convolutional]`` in order: biases; with ``batch_normalize`` also scales, rolling means and
+rolling variances; then the kernel (out, in, height, width).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from droptrack.data.files import read_text
+from droptrack.errors import DroptrackError
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One section of a ``.cfg``: its kind, its options as written, and its line number (from 1)."""
+
+    kind: str
+    options: Mapping[str, str]
+    line: int
+
+    def integer(self, key: str, default: int | None = None) -> int:
+        """The option as an int; raises DroptrackError if it is absent without default or no int."""
+        return int(self.number(key, default))
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """The option as a float; raises DroptrackError as `integer` does."""
+        values = self.numbers(key, None if default is None else (default,))
+        if len(values) != 1:
+            raise self._bad(key, "a number")
+        return values[0]
+
+    def numbers(self, key: str, default: tuple[float, ...] | None = None) -> tuple[float, ...]:
+        """The option as comma-separated numbers; raises DroptrackError as `integer` does."""
+        text = self.options.get(key)
+        if text is None:
+            if default is None:
+                raise DroptrackError(f"line {self.line}: [{self.kind}] needs {key}=")
+            return default
+        try:
+            return tuple(float(part) for part in text.split(",") if part.strip())
+        except ValueError:
+            raise self._bad(key, "a number, or several with commas") from None
+
+    def text(self, key: str, default: str) -> str:
+        """The option as written, or the default."""
+        return self.options.get(key, default)
+
+    def _bad(self, key: str, wanted: str) -> DroptrackError:
+        return DroptrackError(
+            f"line {self.line}: [{self.kind}] {key}={self.options[key]} should be {wanted}"
+        )
+
+
+@dataclass(frozen=True)
+class Cfg:
+    """A network: the options of ``[net]`` and the layers in order, with the file they came from."""
+
+    path: Path
+    net: Layer
+    layers: tuple[Layer, ...]
+
+    @property
+    def width(self) -> int:
+        """Width of the network's input, px."""
+        return self.net.integer("width")
+
+    @property
+    def height(self) -> int:
+        """Height of the network's input, px."""
+        return self.net.integer("height")
+
+
+@dataclass(frozen=True)
+class Convolution:
+    """Where one ``[convolutional]`` lies in a ``.weights`` file: counts of float32 values."""
+
+    layer: int  # index into Cfg.layers
+    inputs: int  # channels per group
+    outputs: int
+    size: int
+    batch_normalize: bool
+
+    @property
+    def n_values(self) -> int:
+        """Number of float32 values this layer has in the file."""
+        per_channel = 4 if self.batch_normalize else 1
+        return self.outputs * (per_channel + self.inputs * self.size * self.size)
+
+
+@dataclass(frozen=True)
+class YoloHead:
+    """One ``[yolo]`` layer: the anchors it uses (A, 2), px of the network's input, its stride."""
+
+    layer: int
+    anchors: NDArray[np.float64]
+    all_anchors: NDArray[np.float64]
+    mask: tuple[int, ...]
+    classes: int
+    stride: int
+    scale_x_y: float  # how far beyond its cell a box's centre may lie (YOLOv4)
+
+
+def read_cfg(path: Path) -> Cfg:
+    """Read a ``.cfg``; raises DroptrackError naming the line that cannot be understood."""
+    return parse_cfg(read_text(path), path)
+
+
+def parse_cfg(text: str, path: Path) -> Cfg:
+    """Parse the text of a ``.cfg``; `path` only names it in errors."""
+    sections: list[Layer] = []
+    options: dict[str, str] = {}
+    for number, raw in enumerate(text.splitlines(), start=1):
+        line = raw.split("#")[0].strip()
+        if not line or line.startswith(";"):
+            continue
+        if line.startswith("["):
+            if not line.endswith("]"):
+                raise DroptrackError(
+                    f"{path}:{number}: a section is written [kind], found {line!r}"
+                )
+            options = {}
+            sections.append(Layer(line[1:-1].strip(), options, number))
+            continue
+        key, equals, value = line.partition("=")
+        if not equals or not sections:
+            raise DroptrackError(
+                f"{path}:{number}: expected key=value in a section, found {line!r}"
+            )
+        options[key.strip()] = value.strip()
+    if not sections or sections[0].kind not in ("net", "network"):
+        raise DroptrackError(f"{path}: a Darknet .cfg starts with [net]; is this another file?")
+    cfg = Cfg(path, sections[0], tuple(sections[1:]))
+    _check(cfg)
+    return cfg
+
+
+def cfg_text(cfg: Cfg) -> str:
+    """The ``.cfg`` as text, which `parse_cfg` reads back to the same sections."""
+    parts = []
+    for layer in (cfg.net, *cfg.layers):
+        lines = [f"[{layer.kind}]", *(f"{key}={value}" for key, value in layer.options.items())]
+        parts.append("\n".join(lines))
+    return "\n\n".join(parts) + "\n"
+
+
+def with_options(cfg: Cfg, net: Mapping[str, str], yolo: Mapping[str, str]) -> Cfg:
+    """A copy of the cfg with options of ``[net]`` and of every ``[yolo]`` replaced or added."""
+    layers = tuple(
+        Layer(layer.kind, {**layer.options, **yolo}, layer.line) if layer.kind == "yolo" else layer
+        for layer in cfg.layers
+    )
+    changed = Cfg(cfg.path, Layer("net", {**cfg.net.options, **net}, cfg.net.line), layers)
+    _check(changed)
+    return changed
+
+
+def resized(cfg: Cfg, width: int, height: int) -> Cfg:
+    """A copy of the cfg with another input size, px; raises DroptrackError as `parse_cfg` does."""
+    return with_options(cfg, {"width": str(width), "height": str(height)}, {})
+
+
+def _check(cfg: Cfg) -> None:
+    for name, size in (("width", cfg.width), ("height", cfg.height)):
+        if size < 32 or size % 32:
+            raise DroptrackError(
+                f"{cfg.path}:{cfg.net.line}: {name}={size}, but a YOLO network's input must be a "
+                f"multiple of 32; the nearest is {max(32, round(size / 32) * 32)}"
+            )
+    try:
+        heads = yolo_heads(cfg)
+        shapes = layer_shapes(cfg)
+    except DroptrackError as error:
+        raise DroptrackError(f"{cfg.path}: {error}") from None
+    if not heads:
+        raise DroptrackError(f"{cfg.path}: has no [yolo] layer, so it detects nothing")
+    for head in heads:
+        channels = shapes[head.layer][0]
+        wanted = (head.classes + 5) * len(head.mask)
+        if channels != wanted:
+            raise DroptrackError(
+                f"{cfg.path}:{cfg.layers[head.layer].line}: [yolo] with {head.classes} classes and "
+                f"{len(head.mask)} anchors needs filters={wanted} in the [convolutional] before "
+                f"it, which has {channels}"
+            )
+
+
+def layer_shapes(cfg: Cfg) -> list[tuple[int, int]]:
+    """(channels, stride with respect to the input) of each layer's output.
+
+    Raises DroptrackError for a layer that this project does not know, with its line.
+    """
+    shapes: list[tuple[int, int]] = []
+    channels, stride = cfg.net.integer("channels", 3), 1
+    for index, layer in enumerate(cfg.layers):
+        if layer.kind == "convolutional":
+            channels = layer.integer("filters")
+            stride *= layer.integer("stride", 1)
+        elif layer.kind == "maxpool":
+            stride *= layer.integer("stride", 1)
+        elif layer.kind == "upsample":
+            factor = layer.integer("stride", 2)
+            if stride % factor:
+                raise DroptrackError(f"line {layer.line}: [upsample] beyond the input's size")
+            stride //= factor
+        elif layer.kind == "route":
+            sources = route_sources(layer, index)
+            if len({shapes[source][1] for source in sources}) > 1:
+                raise DroptrackError(f"line {layer.line}: [route] joins layers of different sizes")
+            channels = sum(shapes[source][0] for source in sources)
+            channels //= layer.integer("groups", 1)
+            stride = shapes[sources[0]][1]
+        elif layer.kind == "shortcut":
+            (source,) = route_sources(layer, index, key="from")
+            if shapes[source] != shapes[index - 1]:
+                raise DroptrackError(f"line {layer.line}: [shortcut] adds layers of unlike shapes")
+        elif layer.kind != "yolo":
+            raise DroptrackError(f"line {layer.line}: layer [{layer.kind}] is not supported")
+        shapes.append((channels, stride))
+    return shapes
+
+
+def route_sources(layer: Layer, index: int, key: str = "layers") -> list[int]:
+    """Absolute indices of the layers that a ``[route]`` or ``[shortcut]`` at `index` reads."""
+    sources = [int(n) if n >= 0 else index + int(n) for n in layer.numbers(key)]
+    if not sources or any(not 0 <= source < index for source in sources):
+        raise DroptrackError(
+            f"line {layer.line}: [{layer.kind}] names a layer that is not above it"
+        )
+    return sources
+
+
+def convolutions(cfg: Cfg) -> list[Convolution]:
+    """Every convolution in the order in which a ``.weights`` file holds them."""
+    shapes = layer_shapes(cfg)
+    found = []
+    for index, layer in enumerate(cfg.layers):
+        if layer.kind != "convolutional":
+            continue
+        inputs = shapes[index - 1][0] if index else cfg.net.integer("channels", 3)
+        found.append(
+            Convolution(
+                index,
+                inputs // layer.integer("groups", 1),
+                layer.integer("filters"),
+                layer.integer("size", 1),
+                bool(layer.integer("batch_normalize", 0)),
+            )
+        )
+    return found
+
+
+def yolo_heads(cfg: Cfg) -> list[YoloHead]:
+    """Every ``[yolo]`` layer, in the order of the file."""
+    heads = []
+    shapes = layer_shapes(cfg)
+    for index, layer in enumerate(cfg.layers):
+        if layer.kind != "yolo":
+            continue
+        if not index:
+            raise DroptrackError(f"line {layer.line}: [yolo] cannot be the first layer")
+        flat = layer.numbers("anchors")
+        if len(flat) % 2 or not flat:
+            raise DroptrackError(f"line {layer.line}: anchors= needs pairs of width, height")
+        anchors = np.array(flat, float).reshape(-1, 2)
+        mask = tuple(int(n) for n in layer.numbers("mask", tuple(range(len(anchors)))))
+        if any(not 0 <= n < len(anchors) for n in mask):
+            raise DroptrackError(f"line {layer.line}: mask= names an anchor that is not there")
+        if layer.integer("new_coords", 0):
+            raise DroptrackError(f"line {layer.line}: [yolo] new_coords=1 is not supported")
+        stride = shapes[index][1]
+        classes = layer.integer("classes", 20)
+        scale = layer.number("scale_x_y", 1)
+        heads.append(YoloHead(index, anchors[list(mask)], anchors, mask, classes, stride, scale))
+    return heads

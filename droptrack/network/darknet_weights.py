@@ -1,0 +1,96 @@
+"""Darknet's ``.weights`` files: bytes <-> typed values."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from droptrack.data.files import reading, replacing
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg, Convolution, convolutions
+
+WEIGHTS_VERSION = (0, 2, 5)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The content of a ``.weights`` file: version, images seen in training, values (P,) float32."""
+
+    version: tuple[int, int, int]
+    seen: int
+    values: NDArray[np.float32]
+
+
+def layer_values(
+    cfg: Cfg, weights: Weights
+) -> Iterator[tuple[Convolution, NDArray[np.float32], NDArray[np.float32]]]:
+    """Each convolution, its vectors (1 or 4, outputs) and its kernel (outputs, inputs * size²).
+
+    The vectors are biases and, with batch normalisation, scales, means and variances.
+    """
+    start = 0
+    for convolution in convolutions(cfg):
+        part = weights.values[start : start + convolution.n_values]
+        start += convolution.n_values
+        n = convolution.outputs * (4 if convolution.batch_normalize else 1)
+        vectors = part[:n].reshape(-1, convolution.outputs)
+        yield convolution, vectors, part[n:].reshape(convolution.outputs, -1)
+
+
+def read_weights(path: Path, cfg: Cfg) -> Weights:
+    """Read a ``.weights`` file for the network `cfg`, every byte of it.
+
+    Raises DroptrackError when the file is absent, ends too early (naming the layer at which it ran
+    out), is too long, or holds numbers that are not finite.
+    """
+    with reading(path, "Darknet weights"):
+        data = path.read_bytes()
+    if len(data) < 16:
+        raise DroptrackError(f"{path}: {len(data)} bytes are too few for a Darknet .weights file")
+    major, minor, revision = struct.unpack_from("<3i", data)
+    wide = major * 10 + minor >= 2
+    if not (0 <= major < 1000 and 0 <= minor < 1000):
+        raise DroptrackError(f"{path}: version {major}.{minor} is absurd: not a .weights file?")
+    (seen,) = struct.unpack_from("<Q" if wide else "<I", data, 12)
+    start = 20 if wide else 16
+    wanted = sum(convolution.n_values for convolution in convolutions(cfg))
+    present, odd = divmod(len(data) - start, 4)
+    if present != wanted or odd:
+        raise DroptrackError(f"{path}: does not fit {cfg.path}: {_misfit(cfg, present, wanted)}")
+    values = np.frombuffer(data, "<f4", wanted, start)
+    if not np.isfinite(values).all():
+        raise DroptrackError(f"{path}: holds NaN or infinite values: a training that diverged?")
+    return Weights((major, minor, revision), seen, values)
+
+
+def _misfit(cfg: Cfg, present: int, wanted: int) -> str:
+    if present > wanted:
+        return f"it has {present:,} values, the network {wanted:,}: weights of another network"
+    end = 0
+    for number, convolution in enumerate(convolutions(cfg), start=1):  # noqa: B007
+        end += convolution.n_values
+        if present < end:
+            break
+    line = cfg.layers[convolution.layer].line
+    return (
+        f"it ends after {present:,} of {wanted:,} values, within convolution {number} "
+        f"(line {line}): cut off, or weights of another network"
+    )
+
+
+def weights_bytes(weights: Weights) -> bytes:
+    """The content of a ``.weights`` file of version 0.2 or later."""
+    header = struct.pack("<3iQ", *WEIGHTS_VERSION, weights.seen)
+    return header + weights.values.astype("<f4").tobytes()
+
+
+def write_weights(path: Path, weights: Weights) -> None:
+    """Write a ``.weights`` file, whole or not at all."""
+    try:
+        with replacing(path) as partial:
+            partial.write_bytes(weights_bytes(weights))
+    except OSError as error:
+        raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None

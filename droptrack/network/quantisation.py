@@ -1,0 +1,173 @@
+"""Post-training quantisation: the range of every layer's output, measured, checked and kept.
+
+A calibration is a small file beside the weights, valid for these weights (their sha256) at one
+input size. It holds how the network is pruned (`pruning`), for 8 bits and for whatever a CPU
+computes in by `--precision auto`, the ranges, and what both cost in mAP.
+"""
+
+import hashlib
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from droptrack.data.files import replacing
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg, route_sources
+from droptrack.network.pruning import Pruning, StandIn
+
+Range = tuple[float, float]
+
+MAX_LOSS = 0.002  # of mAP against fp32: 0.2 points
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What int8 needs to know of a network; ranges by the layer's index."""
+
+    weights_sha256: str
+    width: int
+    height: int
+    ranges: dict[int, Range]
+    n_calibrated: int  # pictures that the ranges come from
+    n_checked: int  # pictures that the mAPs come from
+    map_fp32: tuple[float, float]  # of all channels: on pictures as they are, and spoilt
+    map_int8: tuple[float, float]
+    pruning: Pruning
+
+    @property
+    def losses(self) -> tuple[float, float]:
+        """How much mAP int8 costs, on pictures as they are and as a bad camera shows them."""
+        (drawn, spoilt), (drawn_int8, spoilt_int8) = self.map_fp32, self.map_int8
+        return drawn - drawn_int8, spoilt - spoilt_int8
+
+
+def sha256_of(path: Path) -> str:
+    """The sha256 of a file, in hexadecimal digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def quantised_layers(cfg: Cfg) -> list[int]:
+    """Layers whose outputs are to be quantised: those that compute.
+
+    But for the maps of the heads, and what is added to a shortcut: its sum is.
+    """
+    kinds = [layer.kind for layer in cfg.layers]
+    return [
+        index
+        for index, (kind, following) in enumerate(zip(kinds, [*kinds[1:], ""], strict=True))
+        if kind == "shortcut" or (kind == "convolutional" and following not in ("yolo", "shortcut"))
+    ]
+
+
+def joined(cfg: Cfg, ranges: dict[int, Range]) -> dict[int, Range]:
+    """Ranges in which layers that a ``[route]`` joins have one in common.
+
+    Only maps with one scale can be joined in 8 bits, without being computed anew.
+    """
+    group = {layer: {layer} for layer in ranges}
+    for index, layer in enumerate(cfg.layers):
+        if layer.kind == "route":
+            members: set[int] = set()
+            for source in route_sources(layer, index):
+                origins = _origins(cfg, source) & group.keys()
+                members |= set().union(*(group[origin] for origin in origins))
+            for member in members:
+                group[member] = members
+    return {
+        layer: (min(ranges[m][0] for m in group[layer]), max(ranges[m][1] for m in group[layer]))
+        for layer in ranges
+    }
+
+
+def _origins(cfg: Cfg, index: int) -> set[int]:
+    """The layers that compute the values which a layer hands on."""
+    layer = cfg.layers[index]
+    if layer.kind == "route":
+        return set().union(*(_origins(cfg, source) for source in route_sources(layer, index)))
+    if layer.kind in ("maxpool", "upsample"):
+        return _origins(cfg, index - 1)
+    return {index}
+
+
+def find_calibration(weights: Path, cfg: Cfg) -> Calibration | None:
+    """The calibration of weights for the cfg's input size, if there is one that fits them.
+
+    Raises DroptrackError for a file that is damaged.
+    """
+    digest = sha256_of(weights)
+    for path in _places(weights, cfg, digest):
+        try:
+            with path.open("rb") as file, np.load(file) as arrays:
+                calibration = _from_arrays(dict(arrays))
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError as error:
+            raise DroptrackError(f"{path}: cannot be read: {error}; delete it") from None
+        except (TypeError, KeyError, ValueError, AttributeError, zipfile.BadZipFile):
+            raise DroptrackError(f"{path}: is no calibration; delete it") from None
+        layers = set(calibration.ranges)
+        if calibration.weights_sha256 == digest and layers == set(quantised_layers(cfg)):
+            return calibration
+    return None
+
+
+def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path:
+    """Keep a calibration beside the weights, or in the user's cache where that is not writable.
+
+    Returns the file. Raises DroptrackError if int8 costs more than MAX_LOSS on pictures as they
+    are, or where nothing is writable.
+    """
+    if not calibration.losses[0] <= MAX_LOSS:
+        raise DroptrackError(
+            f"{weights}: int8 is refused: mAP falls from {calibration.map_fp32[0]:.4f} to "
+            f"{calibration.map_int8[0]:.4f} on {calibration.n_checked} pictures, by more than "
+            f"{MAX_LOSS}; use bf16, or calibrate on more pictures"
+        )
+    arrays = _to_arrays(calibration)
+    for path in _places(weights, cfg, calibration.weights_sha256):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(path) as partial:
+                np.savez(partial, **arrays)
+        except OSError:
+            continue
+        return path
+    raise DroptrackError(f"{weights}: neither its folder nor the user's cache is writable")
+
+
+def _to_arrays(calibration: Calibration) -> dict[str, Any]:
+    """What a calibration's file holds: the arrays, and the rest as JSON."""
+    about = {key: value for key, value in vars(calibration).items() if key != "pruning"}
+    arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
+    for layer, rows in calibration.pruning.kept.items():
+        arrays[f"kept_{layer}"] = rows
+    for layer, stand_in in calibration.pruning.stand_ins.items():
+        arrays[f"mix_{layer}"] = stand_in.mix
+        arrays[f"offset_{layer}"] = stand_in.offset
+    return arrays
+
+
+def _from_arrays(arrays: dict[str, Any]) -> Calibration:
+    def layers(prefix: str) -> list[int]:
+        return [int(name.removeprefix(prefix)) for name in arrays if name.startswith(prefix)]
+
+    about = json.loads(str(arrays["about"]))
+    ranges = {int(layer): (float(a), float(b)) for layer, (a, b) in about["ranges"].items()}
+    pruning = Pruning(
+        {i: arrays[f"kept_{i}"] for i in layers("kept_")},
+        {i: StandIn(arrays[f"mix_{i}"], arrays[f"offset_{i}"]) for i in layers("mix_")},
+    )
+    maps = {key: tuple(about[key]) for key in ("map_fp32", "map_int8")}
+    return Calibration(**{**about, **maps, "ranges": ranges, "pruning": pruning})
+
+
+def _places(weights: Path, cfg: Cfg, digest: str) -> tuple[Path, Path]:
+    size = f"{cfg.width}x{cfg.height}"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "droptrack"
+    beside = weights.with_name(f"{weights.stem}-int8-{size}.npz")
+    return beside, cache / f"{digest}-int8-{size}.npz"

@@ -1,0 +1,151 @@
+"""A Darknet ``.cfg`` as a PyTorch module, filled from and dumped to ``.weights`` values."""
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional
+
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import (
+    Cfg,
+    Convolution,
+    Layer,
+    convolutions,
+    route_sources,
+    yolo_heads,
+)
+
+# Darknet's forks and OpenCV use 1e-5 (the first Darknet 1e-6); the rolling means move by 1 % a
+# batch there, here by 3 % because trainings on a CPU are short.
+BATCH_NORM_EPSILON = 1e-5
+BATCH_NORM_MOMENTUM = 0.03
+
+
+class MaxPool(nn.Module):
+    """Darknet's max-pooling: pads size - 1 cells of minus infinity, the odd one right and below."""
+
+    def __init__(self, size: int, stride: int, padding: int) -> None:
+        super().__init__()
+        self.size, self.stride = size, stride
+        self.before, self.after = padding // 2, padding - padding // 2
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, C, H', W'), H' = (H + padding - size) / stride + 1."""
+        if self.stride != self.size or x.shape[2] % self.size or x.shape[3] % self.size:
+            sides = (self.before, self.after, self.before, self.after)
+            x = functional.pad(x, sides, value=float("-inf"))
+        return functional.max_pool2d(x, self.size, self.stride)
+
+
+class DarknetNetwork(nn.Module):
+    """The network of a ``.cfg``; `forward` gives the raw maps of its ``[yolo]`` heads."""
+
+    def __init__(self, cfg: Cfg) -> None:
+        super().__init__()
+        self.cfg = cfg
+        self.heads = yolo_heads(cfg)
+        shapes = {convolution.layer: convolution for convolution in convolutions(cfg)}
+        self.layers = nn.ModuleList(
+            _module(layer, shapes.get(index)) for index, layer in enumerate(cfg.layers)
+        )
+        self.sources = [
+            route_sources(layer, index, "layers" if layer.kind == "route" else "from")
+            if layer.kind in ("route", "shortcut")
+            else []
+            for index, layer in enumerate(cfg.layers)
+        ]
+
+    def forward(self, images: Tensor) -> list[Tensor]:
+        """Images (B, 3, H, W), RGB in [0, 1] -> per head (B, A, 5 + classes, H/stride, W/stride).
+
+        The maps hold logits as Darknet's convolutions leave them: x, y, w, h, objectness, classes.
+        """
+        outputs: list[Tensor] = []
+        maps: list[Tensor] = []
+        x = images
+        for layer, module, sources in zip(self.cfg.layers, self.layers, self.sources, strict=True):
+            if layer.kind == "route":
+                groups, group = layer.integer("groups", 1), layer.integer("group_id", 0)
+                parts = [outputs[source].chunk(groups, dim=1)[group] for source in sources]
+                x = torch.cat(parts, dim=1)
+            elif layer.kind == "shortcut":
+                x = x + outputs[sources[0]]
+            elif layer.kind == "yolo":
+                batch, channels, rows, columns = x.shape
+                anchors = len(self.heads[len(maps)].mask)
+                maps.append(x.reshape(batch, anchors, channels // anchors, rows, columns))
+            else:
+                x = module(x)
+            outputs.append(x)
+        return maps
+
+
+def _module(layer: Layer, convolution: Convolution | None) -> nn.Module:
+    if convolution is not None:
+        return _convolution(layer, convolution)
+    if layer.kind == "maxpool":
+        size, stride = layer.integer("size", 2), layer.integer("stride", 1)
+        return MaxPool(size, stride, layer.integer("padding", size - 1))
+    if layer.kind == "upsample":
+        return nn.Upsample(scale_factor=layer.integer("stride", 2), mode="nearest")
+    return nn.Identity()  # route, shortcut and yolo: done in forward
+
+
+def _convolution(layer: Layer, shape: Convolution) -> nn.Sequential:
+    groups = layer.integer("groups", 1)
+    padding = shape.size // 2 if layer.integer("pad", 0) else layer.integer("padding", 0)
+    convolution = nn.Conv2d(
+        shape.inputs * groups,
+        shape.outputs,
+        shape.size,
+        layer.integer("stride", 1),
+        padding,
+        groups=groups,
+        bias=not shape.batch_normalize,
+    )
+    parts: list[nn.Module] = [convolution]
+    if shape.batch_normalize:
+        parts.append(nn.BatchNorm2d(shape.outputs, BATCH_NORM_EPSILON, BATCH_NORM_MOMENTUM))
+    activation = layer.text("activation", "logistic")
+    if activation == "leaky":
+        parts.append(nn.LeakyReLU(0.1, inplace=True))
+    elif activation == "mish":
+        parts.append(nn.Mish(inplace=True))
+    elif activation != "linear":
+        raise DroptrackError(f"line {layer.line}: activation={activation} is not supported")
+    return nn.Sequential(*parts)
+
+
+def _file_order(network: DarknetNetwork) -> list[Tensor]:
+    """The tensors that a ``.weights`` file holds, in its order."""
+    tensors: list[Tensor | None] = []
+    for module in network.layers:
+        if not isinstance(module, nn.Sequential):
+            continue
+        convolution = module[0]
+        assert isinstance(convolution, nn.Conv2d)
+        if len(module) > 1 and isinstance(norm := module[1], nn.BatchNorm2d):
+            tensors += [norm.bias, norm.weight, norm.running_mean, norm.running_var]
+        else:
+            tensors.append(convolution.bias)
+        tensors.append(convolution.weight)
+    return [tensor for tensor in tensors if tensor is not None]
+
+
+def load_values(network: DarknetNetwork, values: NDArray[np.float32]) -> None:
+    """Fill the network from the values (P,) of a ``.weights`` file that fits its cfg."""
+    start = 0
+    with torch.no_grad():
+        for tensor in _file_order(network):
+            part = values[start : start + tensor.numel()].astype(np.float32)
+            tensor.copy_(torch.from_numpy(part).reshape(tensor.shape))
+            start += tensor.numel()
+    if start != len(values):
+        raise ValueError(f"the network has {start} values, not {len(values)}")
+
+
+def dump_values(network: DarknetNetwork) -> NDArray[np.float32]:
+    """The values (P,) of the network in the order of a ``.weights`` file."""
+    parts = [tensor.detach().cpu().contiguous().reshape(-1) for tensor in _file_order(network)]
+    return np.asarray(torch.cat(parts).numpy(), np.float32)

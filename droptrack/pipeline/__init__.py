@@ -1,0 +1,1 @@
+"""One run: frames in; rows, annotated video, plots and report out."""

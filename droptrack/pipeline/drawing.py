@@ -1,0 +1,85 @@
+"""Boxes, IDs and fading trails on frames."""
+
+import colorsys
+from collections.abc import Iterable
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from droptrack.tracking.recorder import Row
+
+Frame = NDArray[np.uint8]
+
+TRAIL_FRAMES = 40
+TEXT_PX = 15
+
+
+def colour_of(track_id: int) -> tuple[int, int, int]:
+    """A BGR colour of a track, unlike those of the tracks before it."""
+    red, green, blue = colorsys.hsv_to_rgb(track_id * 0.618034 % 1, 0.85, 1.0)
+    return int(255 * blue), int(255 * green), int(255 * red)
+
+
+class Annotator:
+    """Draws frame after frame, and remembers the trails."""
+
+    def __init__(self) -> None:
+        self._trails: dict[int, list[tuple[int, float, float]]] = {}
+
+    def draw(self, index: int, frame: Frame, rows: Iterable[Row]) -> Frame:
+        """A copy of the frame (H, W, 3) with the box, ID and trail of every row."""
+        picture = frame.copy()
+        rows = list(rows)
+        for row in rows:
+            self._trails.setdefault(row.track_id, []).append((index, *row.values[:2].tolist()))
+        for track_id, trail in list(self._trails.items()):
+            recent = [point for point in trail if point[0] > index - TRAIL_FRAMES]
+            if recent:
+                self._trails[track_id] = recent
+                _draw_trail(picture, recent, index, colour_of(track_id))
+            else:
+                del self._trails[track_id]
+        for row in rows:
+            _draw_box(picture, row)
+        return picture
+
+
+def _draw_trail(
+    picture: Frame, trail: list[tuple[int, float, float]], now: int, colour: tuple[int, int, int]
+) -> None:
+    """Older pieces fade into a dark shade of the colour."""
+    points = [(round(x * 16), round(y * 16)) for _, x, y in trail]
+    for start, end, (frame, _, _) in zip(points, points[1:], trail[1:], strict=False):
+        fade = 1 - (now - frame) / TRAIL_FRAMES
+        shade = tuple(int(level * (0.2 + 0.8 * fade)) for level in colour)
+        cv2.line(picture, start, end, shade, 2, cv2.LINE_AA, shift=4)
+
+
+def _draw_box(picture: Frame, row: Row) -> None:
+    cx, cy, w, h = row.values[2:6]
+    corners = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2]).round().astype(int)
+    left, top, right, bottom = corners.tolist()
+    colour = colour_of(row.track_id)
+    cv2.rectangle(picture, (left, top), (right, bottom), colour, 2 if row.observed else 1)
+    label = _label(row.track_id)
+    height, width = label.shape[:2]
+    frame_height, frame_width = picture.shape[:2]
+    x0 = min(max(left, 0), frame_width - width)
+    y0 = top - height if top >= height else min(bottom, frame_height - height)
+    if x0 >= 0 and y0 >= 0:
+        picture[y0 : y0 + height, x0 : x0 + width] = label
+
+
+@lru_cache(maxsize=4096)
+def _label(track_id: int) -> Frame:
+    """The ID in black on the track's colour; Pillow sets type better than OpenCV."""
+    font = ImageFont.load_default(TEXT_PX)
+    left, top, right, bottom = font.getbbox(str(track_id))
+    size = (int(right - left) + 6, int(bottom - top) + 5)
+    blue, green, red = colour_of(track_id)
+    image = Image.new("RGB", size, (red, green, blue))
+    ImageDraw.Draw(image).text((3 - left, 2 - top), str(track_id), (0, 0, 0), font)
+    return np.asarray(image, np.uint8)[..., ::-1]

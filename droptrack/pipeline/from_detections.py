@@ -1,0 +1,107 @@
+"""A file of detections -> tracks -> trajectories: no video, no network."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from droptrack.data.arrays import Floats
+from droptrack.data.detections import Detections
+from droptrack.data.files import reading
+from droptrack.data.mot_files import BLOCK, open_detections
+from droptrack.data.report import Value
+from droptrack.data.trajectories import TrajectoryWriter
+from droptrack.errors import DroptrackError
+from droptrack.pipeline.run import FURTHER_COLUMNS, Results, finish
+from droptrack.tracking.appearance import describe_sizes
+from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.tracker import Tracker
+from droptrack.version import __version__
+
+# rows (M,) of a file, from 0 -> unit descriptors (M, D)
+Looks = Callable[[NDArray[np.int64]], Floats]
+
+
+def open_descriptors(path: Path, n: int) -> Looks:
+    """Unit descriptors of a file's detections, from an .npy file with a row for each of the n.
+
+    The file stays where it is: rows are read when they are asked for.
+    """
+    with reading(path, ".npy"):
+        table = np.load(path, mmap_mode="r")
+    if table.ndim != 2 or len(table) != n or not np.issubdtype(table.dtype, np.number):
+        raise DroptrackError(f"{path}: should be {n} rows of numbers, not {table.shape}")
+    for start in range(0, n, BLOCK):
+        length = np.linalg.norm(np.asarray(table[start : start + BLOCK], np.float64), axis=1)
+        bad = np.flatnonzero(~np.isfinite(length) | (length == 0))
+        if len(bad):
+            raise DroptrackError(f"{path}: row {start + int(bad[0]) + 1} has no direction")
+
+    def looks(rows: NDArray[np.int64]) -> Floats:
+        some = np.asarray(table[rows], np.float64)
+        return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
+
+    return looks
+
+
+def follow_detections(
+    frames: Iterable[tuple[Detections, NDArray[np.int64]]],
+    looks: Looks | None,
+    tracker: Tracker,
+    results: Results,
+) -> Iterator[int]:
+    """Track frame by frame into `results`; yields the number of frames done.
+
+    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them; `looks`: the unit
+    descriptors of rows; without, the detections' sizes.
+    """
+    recorder = Recorder(tracker.delay + tracker.max_age)
+    try:
+        for index, (found, rows) in enumerate(frames):
+            look = describe_sizes(found.boxes) if looks is None else looks(rows)
+            update = tracker.update(found.boxes, look)
+            recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
+            results.n_frames += 1
+            results.n_detections += len(found)
+            results.take_final(recorder)
+            yield results.n_frames
+    finally:
+        too_short = results.n_frames < tracker.n_init
+        results.take_rest(recorder, unconfirmed=too_short)
+
+
+def track_detections(
+    detections: Path,
+    descriptors: Path | None,
+    tracker: Tracker,
+    settings: dict[str, Value],
+    out: Path | None,
+) -> None:
+    """Track a file of detections into a folder, by default tracks/<the file's name>."""
+    frames = open_detections(detections)
+    looks = None if descriptors is None else open_descriptors(descriptors, frames.n_rows)
+    if frames.out_of_order:
+        typer.echo(
+            f"{detections}: row {frames.out_of_order} belongs before the one above it: rows are "
+            "sorted by frame first",
+            err=True,
+        )
+    out = out or Path("tracks") / detections.stem
+    out.mkdir(parents=True, exist_ok=True)
+    width, height = max(1, ceil(frames.right)), max(1, ceil(frames.bottom))
+    about: dict[str, Value] = {
+        "made by": f"droptrack {__version__}, droptrack.track",
+        "detections": f"{detections}, {frames.n_frames} frames",
+        "units": "px, y points down; frames count from 0, one less than in the detections",
+    }
+    began = time.perf_counter()
+    with TrajectoryWriter(out / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
+        results = Results(rows)
+        for _ in follow_detections(frames, looks, tracker, results):
+            pass
+    finish(out, (width, height), {**about, **settings}, results, 0, time.perf_counter() - began)
+    typer.echo(f"results in {out}")

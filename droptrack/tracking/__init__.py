@@ -1,0 +1,1 @@
+"""Boxes -> tracks -> final rows."""

@@ -1,0 +1,141 @@
+"""DeepSORT (Wojke et al. 2017): detections, frame by frame -> tracks with lasting identities."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from droptrack.data.arrays import Floats, Rows
+from droptrack.data.detections import iou_of_pairs
+from droptrack.data.neighbours import pairs_within
+from droptrack.tracking import deepsort_filter as kalman
+from droptrack.tracking.appearance import cosine_distances
+from droptrack.tracking.association import assign_sparse, matching_cascade
+from droptrack.tracking.tracker import Update
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """DeepSORT's parameters by the names of the original, with its defaults."""
+
+    max_cosine_distance: float = 0.2
+    nn_budget: int = 100  # descriptors kept a track
+    max_iou_distance: float = 0.7
+    max_age: int = 30  # frames that a confirmed track may be missed
+    n_init: int = 3  # detections in a row that confirm a track
+
+
+@dataclass
+class Track:
+    """What is known of one droplet besides its filter; `age` counts frames since it was seen."""
+
+    track_id: int
+    hits: int = 1
+    age: int = 0
+    confirmed: bool = False
+    gallery: list[Floats] = field(default_factory=list)
+
+
+class Tracker:
+    """Follows droplets; call `update` with each frame's detections, also when there are none."""
+
+    def __init__(self, parameters: Parameters) -> None:
+        self.parameters = parameters
+        self.tracks: list[Track] = []
+        self.mean = np.zeros((0, 4, 2))
+        self.covariance = np.zeros((0, 4, 2, 2))
+        self._next_id = 1
+        self.max_age = parameters.max_age
+        self.delay = parameters.n_init - 1
+        self.n_init = parameters.n_init
+
+    def update(self, boxes: Floats, descriptors: Floats) -> Update:
+        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
+        if len(boxes) != len(descriptors):
+            raise ValueError(f"{len(boxes)} boxes with {len(descriptors)} descriptors")
+        self.mean, self.covariance = kalman.predict(self.mean, self.covariance)
+        for track in self.tracks:
+            track.age += 1
+        measurements = kalman.measurements_of(boxes)
+        rows, columns = self._match(boxes, measurements, descriptors)
+        self.mean[rows], self.covariance[rows] = kalman.update(
+            self.mean[rows], self.covariance[rows], measurements[columns]
+        )
+        track_ids = np.zeros(len(boxes), np.int64)
+        confirmed = []
+        for row, column in zip(rows, columns, strict=True):
+            track = self.tracks[row]
+            track.hits, track.age = track.hits + 1, 0
+            track.gallery.append(descriptors[column])
+            track_ids[column] = track.track_id
+            if not track.confirmed and track.hits >= self.parameters.n_init:
+                track.confirmed = True
+                confirmed.append(track.track_id)
+        ended = self._drop_lost()
+        confirmed += self._start(track_ids, measurements, descriptors)
+        for track in self.tracks:
+            del track.gallery[: -self.parameters.nn_budget if track.confirmed else 0]
+        return Update(track_ids, tuple(confirmed), ended)
+
+    def _match(self, boxes: Floats, measurements: Floats, descriptors: Floats) -> tuple[Rows, Rows]:
+        """The cascade for confirmed tracks, then overlap for new ones and those just missed."""
+        ages = np.array([track.age for track in self.tracks], np.int64)
+        sure = np.array([track.confirmed for track in self.tracks], bool)
+        rows, columns = self._by_appearance(np.flatnonzero(sure), ages, measurements, descriptors)
+        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), rows)
+        free = np.setdiff1d(np.arange(len(boxes)), columns)
+        more_rows, more_columns = self._by_overlap(rest, boxes[free])
+        return np.append(rows, rest[more_rows]), np.append(columns, free[more_columns])
+
+    def _by_appearance(
+        self, candidates: Rows, ages: Rows, measurements: Floats, descriptors: Floats
+    ) -> tuple[Rows, Rows]:
+        """Matched tracks, of the candidates, and detections: alike, and within the gate."""
+        p, gate = self.parameters, kalman.CHI_SQUARE_95[4]
+        mean, covariance = self.mean[candidates], self.covariance[candidates]
+        reach = np.sqrt(gate * kalman.innovation_variance(mean, covariance)[:, :2].max(axis=1))
+        rows, columns = pairs_within(mean[:, :2, 0], reach * (1 + 1e-9), measurements[:, :2])
+        near = kalman.gating_distance(mean[rows], covariance[rows], measurements[columns]) <= gate
+        rows, columns = rows[near], columns[near]
+        galleries = [self.tracks[row].gallery for row in candidates]
+        cost = cosine_distances(galleries, descriptors, rows, columns)
+        matched, taken = matching_cascade(
+            rows, columns, cost, p.max_cosine_distance, ages[candidates], p.max_age
+        )
+        return candidates[matched], taken
+
+    def _by_overlap(self, tracks: Rows, boxes: Floats) -> tuple[Rows, Rows]:
+        """Matched places among the tracks and among the boxes."""
+        most = self.parameters.max_iou_distance
+        expected = kalman.boxes_of(self.mean[tracks])
+        # boxes that do not overlap may be matched only if everything may
+        largest = boxes[:, 2:].max(initial=0) if most < 1 else np.inf
+        reach = (expected[:, 2:].max(axis=1, initial=0) + largest) / 2
+        rows, columns = pairs_within(expected[:, :2], reach, boxes[:, :2])
+        cost = 1 - iou_of_pairs(expected[rows], boxes[columns])
+        near = cost <= most
+        return assign_sparse(rows[near], columns[near], cost[near], most + 1e-5)
+
+    def _drop_lost(self) -> tuple[int, ...]:
+        """A new track ends with its first miss, a confirmed one after more than max_age."""
+        alive = [
+            track.age == 0 or (track.confirmed and track.age <= self.parameters.max_age)
+            for track in self.tracks
+        ]
+        ended = tuple(t.track_id for t, lives in zip(self.tracks, alive, strict=True) if not lives)
+        self.tracks = [t for t, lives in zip(self.tracks, alive, strict=True) if lives]
+        self.mean, self.covariance = self.mean[alive], self.covariance[alive]
+        return ended
+
+    def _start(self, track_ids: Rows, measurements: Floats, descriptors: Floats) -> list[int]:
+        """Start a track for each detection without one; returns those confirmed at once."""
+        new = np.flatnonzero(track_ids == 0)
+        mean, covariance = kalman.initiate(measurements[new])
+        self.mean = np.concatenate([self.mean, mean])
+        self.covariance = np.concatenate([self.covariance, covariance])
+        sure = self.parameters.n_init <= 1
+        for column in new:
+            track_ids[column] = self._next_id
+            track = Track(self._next_id, confirmed=sure, gallery=[descriptors[column]])
+            self.tracks.append(track)
+            self._next_id += 1
+        return [int(track_ids[column]) for column in new] if sure else []

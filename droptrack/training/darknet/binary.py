@@ -1,0 +1,155 @@
+"""A Darknet binary: where it is, which fork it is, how it is told to train, what it leaves behind.
+
+It runs in the run folder, with a data file of its own there, so that all it writes lands in it.
+"""
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from droptrack.data.darknet_dataset import DataSet
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_weights import read_weights
+from droptrack.training.darknet.console import ESCAPES
+
+
+@dataclass(frozen=True)
+class Darknet:
+    """A binary, which of the living forks it is, and what it calls its version."""
+
+    path: Path
+    fork: str  # "AlexeyAB" or "hank-ai"
+    version: str
+
+    def about(self) -> dict[str, str]:
+        """For the run file."""
+        digest = hashlib.sha256(self.path.read_bytes()).hexdigest()
+        return {
+            "trainer": f"Darknet of {self.fork}, {self.version}",
+            "darknet": str(self.path),
+            "sha256": digest,
+        }
+
+
+@dataclass(frozen=True)
+class DarknetSettings:
+    """How to run Darknet, beside what the ``.cfg`` says."""
+
+    gpus: str  # as Darknet wants them, "0,1"; "" for its choice
+    save_every: int  # iterations between snapshots (hank-ai: always 100)
+    map_every: int  # iterations between measurements of the mAP, about
+    patience: int  # measurements of the mAP without a new best that end the training; 0: never
+    hang_seconds: float  # of silence after which Darknet is given up
+
+
+def find_darknet(given: Path | None) -> Path | None:
+    """The binary given, or that of $DARKNET, or ``darknet`` on the PATH; None without any.
+
+    Raises DroptrackError where one is named that is not there or cannot be run.
+    """
+    for name, path in (("--darknet", given), ("$DARKNET", os.environ.get("DARKNET"))):
+        if path:
+            found = shutil.which(path)
+            if found is None or not Path(found).is_file():
+                raise DroptrackError(f"{name} {path}: is no program that can be run; correct it")
+            return Path(found).resolve()
+    on_path = shutil.which("darknet")
+    return Path(on_path).resolve() if on_path else None
+
+
+def identify(path: Path) -> Darknet:
+    """Ask a binary what it is. Raises DroptrackError for one that is no Darknet."""
+    try:
+        answer = subprocess.run(
+            [path, "version"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            timeout=60,
+            check=False,
+        ).stdout.decode("utf-8", errors="replace")
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise DroptrackError(f"{path}: does not answer `version`: {error}") from None
+    if found := re.search(r"Darknet\s+(.*v\d+\.\d+\S*)", ESCAPES.sub("", answer)):
+        return Darknet(path, "hank-ai", found[1].strip())
+    if "Not an option: version" in answer:
+        return Darknet(path, "AlexeyAB", "which names no version")
+    raise DroptrackError(f"{path}: is no Darknet: `version` answers {answer[:80]!r}")
+
+
+def write_data_files(
+    darknet: Darknet, folder: Path, data: DataSet, settings: DarknetSettings
+) -> None:
+    """Write obj.data and what it names into the run folder, the lists with whole paths.
+
+    Darknet drops the spaces of a data file's lines, so the names in it have none.
+    """
+    (folder / "obj.names").write_text("".join(f"{name}\n" for name in data.names), encoding="utf-8")
+    for split, images in (("train", data.train), ("valid", data.valid)):
+        text = "".join(f"{image.resolve()}\n" for image in images)
+        (folder / f"{split}.txt").write_text(text, encoding="utf-8")
+    lines = {
+        "classes": len(data.names),
+        "train": "train.txt",
+        "valid": "valid.txt",
+        "names": "obj.names",
+        "backup": ".",
+    }
+    if darknet.fork == "AlexeyAB":  # it writes _last only if more often than numbered snapshots
+        lines["savelast"] = min(settings.save_every, 999)
+    text = "".join(f"{key} = {value}\n" for key, value in lines.items())
+    (folder / "obj.data").write_text(text, encoding="utf-8")
+
+
+def training_command(
+    darknet: Darknet,
+    cfg: Cfg,
+    data: DataSet,
+    settings: DarknetSettings,
+    start: Path | None,
+    first: int,
+    with_map: bool,
+) -> list[str]:
+    """The arguments that start a training in the run folder.
+
+    `start`: weights to begin with; they have done `first` iterations of this run.
+    """
+    command = [str(darknet.path), "detector", "train", "obj.data", cfg.path.name]
+    if start is not None:
+        command += [str(start.resolve())] if first else [str(start.resolve()), "-clear"]
+    command += ["-dont_show"]
+    if with_map:
+        command += ["-map"]
+    if darknet.fork == "hank-ai":
+        command += ["-nocolour"]
+    elif with_map:
+        epochs = settings.map_every * cfg.net.integer("batch") / len(data.train)
+        command += ["-mAP_epochs", str(max(1, round(epochs)))]
+    if settings.gpus:
+        command += ["-gpus", settings.gpus]
+    return command
+
+
+def furthest_weights(folder: Path, cfg: Cfg) -> tuple[Path, int] | None:
+    """The whole, finite weights of a run that have seen most, and the iteration they are of.
+
+    A Darknet that was killed may leave half a file, and one that was interrupted a ``_final`` that
+    is none.
+    """
+    batch = cfg.net.integer("batch")
+    found = None
+    for path in folder.glob(f"{cfg.path.stem}_*.weights"):
+        if not re.fullmatch(r"last|final|\d+", path.stem.removeprefix(f"{cfg.path.stem}_")):
+            continue
+        try:
+            iteration = read_weights(path, cfg).seen // batch
+        except DroptrackError:
+            continue
+        if found is None or iteration > found[1]:
+            found = path, iteration
+    return found

@@ -1,0 +1,249 @@
+"""Training by a Darknet binary: followed, kept in the log, stopped, and gone on with."""
+
+import math
+import os
+import queue
+import signal
+import time
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+from droptrack.data.darknet_dataset import DataSet
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_weights import read_weights, write_weights
+from droptrack.training.darknet.binary import (
+    Darknet,
+    DarknetSettings,
+    furthest_weights,
+    training_command,
+    write_data_files,
+)
+from droptrack.training.darknet.console import (
+    Event,
+    Iteration,
+    MeanAp,
+    NextMap,
+    Question,
+    Rewritten,
+    Saving,
+)
+from droptrack.training.darknet.process import DarknetProcess, last_words
+from droptrack.training.log import Step, TrainingLog
+
+NAN = float("nan")
+
+
+class _EndedAtMapError(Exception):
+    """Darknet ended while it computed a mAP."""
+
+
+class DarknetTraining:
+    """One training in a run folder, through as many Darknets as it takes.
+
+    `score` measures the mAP of weights where Darknet cannot.
+    """
+
+    def __init__(
+        self,
+        darknet: Darknet,
+        cfg: Cfg,
+        data: DataSet,
+        folder: Path,
+        settings: DarknetSettings,
+        score: Callable[[Path], float],
+    ) -> None:
+        self.darknet, self.cfg, self.data, self.folder = darknet, cfg, data, folder
+        self.settings, self.score = settings, score
+        self.iterations = cfg.net.integer("max_batches")
+
+    def steps(self, start: Path | None, resume: bool) -> Generator[Step, None, None]:
+        """Train; yields each iteration, and again once its mAP is known.
+
+        `start`: weights to begin with. With `resume`, goes on from the snapshot that got furthest.
+        A Darknet that ends while it computes a mAP is started again without ``-map``. Raises
+        DroptrackError when the loss is no number any more, and when Darknet ends early or says
+        nothing for too long.
+        """
+        write_data_files(self.darknet, self.folder, self.data, self.settings)
+        first = 0
+        if resume:
+            found = furthest_weights(self.folder, self.cfg)
+            if found is None:
+                raise DroptrackError(
+                    f"{self.folder}: has no whole snapshot to go on from; start again, in another "
+                    "--out"
+                )
+            start, first = found
+            if first >= self.iterations:
+                raise DroptrackError(
+                    f"{start}: is at iteration {first} already; to go on, raise --iterations"
+                )
+        with TrainingLog(self.folder, first) as log:
+            try:
+                yield from self._follow(log, start, first, with_map=True)
+            except _EndedAtMapError:
+                start, first = furthest_weights(self.folder, self.cfg) or (start, 0)
+                log.forget_after(first)
+                yield from self._follow(log, start, first, with_map=False)
+
+    def _follow(
+        self, log: TrainingLog, start: Path | None, first: int, with_map: bool
+    ) -> Generator[Step, None, None]:
+        """One Darknet from its start to its end."""
+        command = training_command(
+            self.darknet, self.cfg, self.data, self.settings, start, first, with_map
+        )
+        process, scorer = DarknetProcess(command, self.folder), _Scorer(self.score, self.cfg)
+        iteration, next_map, rewritten = first, 0, NAN
+        snapshot: Path | None = None  # announced; written once the next iteration is done
+        began = process.heard
+        try:
+            while True:
+                now, event = self._next_event(process)
+                mean_ap = None
+                match event:
+                    case None:
+                        break
+                    case Iteration() if iteration < event.iteration <= self.iterations:
+                        step = _step(event, rewritten, now - began)
+                        iteration, began = event.iteration, now
+                        next_map = event.next_map or next_map
+                        log.append(step)
+                        self._check_loss(step)
+                        yield step
+                        if snapshot is not None and not with_map:
+                            if iteration - scorer.iteration >= self.settings.map_every:
+                                scorer.begin(snapshot)
+                            snapshot = None
+                        mean_ap = scorer.result()
+                    case MeanAp() if iteration > first:
+                        next_map, mean_ap = 0, (iteration, event.value)
+                    case NextMap():
+                        next_map = event.iteration
+                    case Rewritten():
+                        rewritten = event.share
+                    case Saving() if not event.path.endswith("_best.weights"):
+                        snapshot = self.folder / event.path
+                    case Question():
+                        process.answer("yes")
+                if mean_ap is not None:
+                    log.set_mean_ap(*mean_ap)
+                    yield replace(step, mean_ap=mean_ap[1])
+                    if log.is_stale(self.settings.patience):
+                        return
+            self._check_end(process, iteration, at_map=with_map and 0 < next_map <= iteration)
+            if not with_map:
+                for snapshot in (None, self.folder / f"{self.cfg.path.stem}_final.weights"):
+                    if snapshot is not None:
+                        scorer.begin(snapshot)
+                    if (mean_ap := scorer.result(wait=True)) is not None:
+                        log.set_mean_ap(*mean_ap)
+                        yield replace(step, mean_ap=mean_ap[1])
+        finally:
+            process.stop()
+            scorer.close()
+
+    def _next_event(self, process: DarknetProcess) -> tuple[float, Event | None]:
+        """When Darknet said what next; None once it has ended."""
+        limit = self.settings.hang_seconds
+        while True:
+            try:
+                left = limit - (time.monotonic() - process.heard)
+                return process.events.get(timeout=max(0.05, left))
+            except queue.Empty:
+                if time.monotonic() - process.heard >= limit:
+                    raise DroptrackError(
+                        f"{self.folder / 'darknet.log'}: Darknet has said nothing for {limit:.0f} "
+                        f"s and was stopped; {self._cure()} (--hang-minutes allows more)"
+                    ) from None
+
+    def _check_loss(self, step: Step) -> None:
+        if not math.isfinite(step.loss):
+            raise DroptrackError(
+                f"{self.folder}: the loss is no number any more at iteration {step.iteration}, "
+                f"at a rate of {step.learning_rate:g}; start again, in another --out, "
+                "with a smaller --learning-rate"
+            )
+
+    def _check_end(self, process: DarknetProcess, iteration: int, at_map: bool) -> None:
+        """Raise an error where Darknet did not come to the end of the training."""
+        found = furthest_weights(self.folder, self.cfg)
+        if iteration >= self.iterations and found is not None and found[1] >= self.iterations:
+            return  # some builds die clearing up
+        if at_map:
+            raise _EndedAtMapError
+        log, code = self.folder / "darknet.log", process.popen.returncode
+        how = (
+            f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+        )
+        raise DroptrackError(
+            f"{log}: Darknet {how} after iteration {iteration} of {self.iterations}; its last "
+            f"words: {last_words(log)!r}; {self._cure()}"
+        )
+
+    def _cure(self) -> str:
+        found = furthest_weights(self.folder, self.cfg)
+        if found is None:
+            return "no snapshot is there to go on from: start again, in another --out"
+        return f"--resume goes on from iteration {found[1]}"
+
+
+class _Scorer:
+    """Measures the mAP of one snapshot at a time beside a training, and keeps the best."""
+
+    def __init__(self, score: Callable[[Path], float], cfg: Cfg) -> None:
+        self._score, self._cfg = score, cfg
+        self._pool = ThreadPoolExecutor(1)
+        self._pending: Future[float] | None = None
+        self._copy: Path | None = None
+        self._best = -1.0
+        self.iteration = 0  # of the snapshot taken last
+
+    def begin(self, snapshot: Path) -> None:
+        """Take a copy of a snapshot and score it, if it is whole and none is being scored."""
+        if self._pending is not None:
+            return
+        try:
+            whole = read_weights(snapshot, self._cfg)
+        except DroptrackError:
+            return
+        self.iteration = whole.seen // self._cfg.net.integer("batch")
+        self._copy = snapshot.with_name(f"{self._cfg.path.stem}_scored.weights")
+        write_weights(self._copy, whole)
+        self._pending = self._pool.submit(self._score, self._copy)
+
+    def result(self, wait: bool = False) -> tuple[int, float] | None:
+        """The iteration and mAP of the snapshot, once they are known."""
+        if self._pending is None or not (wait or self._pending.done()):
+            return None
+        mean_ap = self._pending.result()
+        self._pending = None
+        if mean_ap > self._best and self._copy is not None:
+            self._best = mean_ap
+            os.replace(self._copy, self._copy.with_name(f"{self._cfg.path.stem}_best.weights"))
+        return self.iteration, mean_ap
+
+    def close(self) -> None:
+        """Wait for what is being scored, and forget it."""
+        self._pool.shutdown()
+        if self._copy is not None:
+            self._copy.unlink(missing_ok=True)
+
+
+def _step(event: Iteration, rewritten: float, seconds: float) -> Step:
+    return Step(
+        event.iteration,
+        event.loss,
+        event.average_loss,
+        NAN,
+        NAN,
+        NAN,
+        rewritten,
+        event.learning_rate,
+        seconds,
+        event.images,
+        NAN,
+    )

@@ -1,0 +1,210 @@
+"""Pictures of a Darknet data set -> augmented batches for training."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.data import Dataset, Sampler
+
+from droptrack.data.darknet_dataset import DataSet, read_image, read_labels
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg
+
+Sample = tuple[Tensor, Tensor]  # image (3, H, W) uint8 RGB; truths (N, 5) class, relative box
+# makes a picture (H, W, 3) uint8 BGR and the boxes (N, 4) px of the droplets in it
+DrawPicture = Callable[[np.random.Generator], tuple[NDArray[np.uint8], NDArray[np.float64]]]
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """How pictures are changed, with Darknet's names; `window` is ours.
+
+    The picture is stretched to the network's size (times a random factor a batch when `random`),
+    then moved and zoomed by up to `jitter`. Of the result only a `window` (width, height) px at a
+    random place is used: the network is convolutional, so small windows teach it the same in less
+    time, if nothing but the window's content decides what is a droplet.
+    """
+
+    size: tuple[int, int]  # width, height of the network's input, px
+    window: tuple[int, int]
+    jitter: float
+    random: tuple[float, float]  # range of the factor on `size`
+    saturation: float
+    exposure: float
+    hue: float
+    flip: bool
+
+    @staticmethod
+    def of(
+        cfg: Cfg, window: tuple[int, int] | None, random: tuple[float, float] | None
+    ) -> "Augmentation":
+        """What a ``.cfg`` asks for, with a window and a range of sizes of our own if given."""
+        net, head = cfg.net, next(layer for layer in cfg.layers if layer.kind == "yolo")
+        size = (cfg.width, cfg.height)
+        darknet_random = (1 / 1.4, 1.4) if head.integer("random", 0) else (1.0, 1.0)
+        return Augmentation(
+            size,
+            window or size,
+            head.number("jitter", 0.2),
+            random or darknet_random,
+            net.number("saturation", 1.0),
+            net.number("exposure", 1.0),
+            net.number("hue", 0.0),
+            bool(net.integer("flip", 1)),
+        )
+
+
+class TrainingPictures(Dataset[Sample]):
+    """Augmented training pictures. An item is asked for by (index, seed, factor on the size).
+
+    With `draw`, a picture is drawn afresh from the seed each time, whatever the index.
+    """
+
+    def __init__(self, data: DataSet, augmentation: Augmentation, draw: DrawPicture | None) -> None:
+        self.data, self.augmentation, self.draw = data, augmentation, draw
+
+    def __len__(self) -> int:
+        return len(self.data.train)
+
+    def __getitem__(self, wanted: tuple[int, int, float]) -> Sample:
+        index, seed, factor = wanted
+        rng = np.random.default_rng(seed)
+        if self.draw is None:
+            image, class_ids, boxes = self._read(self.data.train[index])
+        else:
+            image, boxes_px = self.draw(rng)
+            class_ids = np.zeros(len(boxes_px), np.int64)
+            boxes = boxes_px / np.tile(image.shape[1::-1], 2)
+        picture, truths = augment(rng, image, class_ids, boxes, self.augmentation, factor)
+        return torch.from_numpy(picture).permute(2, 0, 1), torch.from_numpy(truths)
+
+    def _read(self, path: Path) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64]]:
+        class_ids, boxes = read_labels(path)
+        n_classes = len(self.data.names)
+        if (class_ids >= n_classes).any():
+            raise DroptrackError(
+                f"{path.with_suffix('.txt')}: has class {class_ids.max()}, but the data set "
+                f"{n_classes} classes, counted from 0"
+            )
+        return read_image(path), class_ids, boxes
+
+
+def augment(
+    rng: np.random.Generator,
+    image: NDArray[np.uint8],
+    class_ids: NDArray[np.int64],
+    boxes_relative: NDArray[np.float64],
+    how: Augmentation,
+    factor: float,
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """One picture (H, W, 3) BGR, changed at random -> (window h, window w, 3) RGB, truths (N, 5).
+
+    Boxes are cut at the window's edges; those of which less than a tenth is left are dropped.
+    """
+    height, width = image.shape[:2]
+    target = np.array(how.size) * factor
+    window = np.array(how.window, float)
+    zoom = target / [width, height] * rng.uniform(1 - how.jitter, 1 + how.jitter, 2)
+    slack = zoom * [width, height] - window
+    margin = how.jitter * window * (slack <= 0)  # a picture that fits is moved about by up to that
+    low, high = np.minimum(0, slack) - margin / 2, np.maximum(0, slack) + margin / 2
+    if len(boxes_relative) and rng.random() < 0.9:  # not many windows without any droplet
+        wanted = boxes_relative[rng.integers(len(boxes_relative)), :2] * zoom * [width, height]
+        low = np.clip(wanted - window, low, high)
+        high = np.clip(wanted, low, high)
+    offset = rng.uniform(low, high)
+    flip = how.flip and rng.random() < 0.5
+    # a pixel's centre is at c + 0.5, OpenCV's warp counts centres from 0
+    scale = zoom * np.array([-1 if flip else 1, 1])
+    shift = -offset
+    if flip:
+        shift[0] = window[0] - shift[0]
+    matrix = np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]]])
+    matrix[:, 2] += 0.5 * scale - 0.5
+    warped = cv2.warpAffine(image, matrix, how.window, borderMode=cv2.BORDER_REPLICATE)
+    boxes = boxes_relative * [width, height, width, height]
+    centre, size = boxes[:, :2] * scale + shift, boxes[:, 2:] * zoom
+    corners = np.stack([centre - size / 2, centre + size / 2])
+    clipped = np.clip(corners, 0, window)
+    visible = clipped[1] - clipped[0]
+    keep = (visible.min(axis=1) > 2) & (visible.prod(axis=1) > 0.1 * size.prod(axis=1))
+    relative = np.column_stack([clipped.mean(axis=0) / window, visible / window])
+    truths = np.column_stack([class_ids, relative])[keep].astype(np.float32)
+    return _recolour(rng, np.asarray(warped, np.uint8), how), truths
+
+
+def _recolour(
+    rng: np.random.Generator, image: NDArray[np.uint8], how: Augmentation
+) -> NDArray[np.uint8]:
+    """Change exposure, saturation and hue as Darknet does; BGR -> RGB."""
+    exposure, saturation = (
+        float(limit ** rng.uniform(-1, 1)) for limit in (how.exposure, how.saturation)
+    )
+    hue = rng.uniform(-how.hue, how.hue)
+    if (image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all():
+        # grey: nothing else can change
+        return np.asarray(cv2.convertScaleAbs(image, alpha=exposure), np.uint8)
+    hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(np.float32)
+    hsv[..., 0] = (hsv[..., 0] + 180 * hue) % 180
+    hsv[..., 1:] *= [saturation, exposure]
+    bytes_ = np.clip(hsv, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(bytes_, cv2.COLOR_HSV2RGB), np.uint8)
+
+
+class Batches(Sampler[list[tuple[int, int, float]]]):
+    """What each batch from iteration `start` to `stop` consists of; depends on `seed` only.
+
+    Every picture is used once before any is used again. With `share` (rank, count), every count-th
+    picture of each batch from the rank-th on.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        batch: int,
+        start: int,
+        stop: int,
+        seed: int,
+        random: tuple[float, float],
+        share: tuple[int, int] = (0, 1),
+    ) -> None:
+        self.n, self.batch, self.start, self.stop = n, batch, start, stop
+        self.seed, self.random, self.share = seed, random, share
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+    def __iter__(self) -> Iterator[list[tuple[int, int, float]]]:
+        rank, count = self.share
+        for iteration in range(self.start, self.stop):
+            rng = np.random.default_rng([self.seed, iteration])
+            low, high = self.random
+            factor = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+            places = np.arange(iteration * self.batch, (iteration + 1) * self.batch)
+            seeds = rng.integers(0, 2**62, self.batch)
+            yield [
+                (self._index(int(place)), int(seed), factor)
+                for place, seed in zip(places[rank::count], seeds[rank::count], strict=True)
+            ]
+
+    def _index(self, place: int) -> int:
+        epoch, within = divmod(place, self.n)
+        if getattr(self, "_epoch", None) != epoch:
+            self._epoch = epoch
+            self._order = np.random.default_rng([self.seed, epoch, 1]).permutation(self.n)
+        return int(self._order[within])
+
+
+def collate(samples: Sequence[Sample]) -> tuple[Tensor, Tensor]:
+    """Samples -> images (B, 3, H, W) uint8, truths (T, 6): image in the batch, class, box."""
+    images = torch.stack([image for image, _ in samples])
+    truths = [
+        torch.cat([torch.full((len(boxes), 1), float(number)), boxes], dim=1)
+        for number, (_, boxes) in enumerate(samples)
+    ]
+    return images, torch.cat(truths)

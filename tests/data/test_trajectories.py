@@ -1,0 +1,79 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from droptrack.data.trajectories import (
+    Trajectories,
+    read_trajectories,
+    sorted_trajectories,
+    write_trajectories,
+)
+from droptrack.errors import DroptrackError
+
+HEADER = "frame,track_id,x,y,w,h,score,observed\n"
+
+
+def some(n: int = 50) -> Trajectories:
+    rng = np.random.default_rng(0)
+    frame, track_id = np.divmod(rng.permutation(n), 7)
+    return sorted_trajectories(
+        frame,
+        track_id + 1,
+        rng.uniform(0, 600, n).round(6),
+        rng.uniform(0, 600, n).round(6),
+        rng.uniform(1, 60, (n, 4)).round(6),
+        rng.random(n).round(6),
+        rng.random(n) < 0.5,
+    )
+
+
+def test_a_file_reads_back_to_the_same_rows(tmp_path: Path) -> None:
+    rows, path = some(), tmp_path / "t.csv"
+    write_trajectories(path, rows, {"made by": "a test", "video": "v.avi, 1200 x 600 px"})
+    again, about = read_trajectories(path)
+    for name in vars(rows):
+        np.testing.assert_array_equal(getattr(again, name), getattr(rows, name))
+    assert about == {"made by": "a test", "video": "v.avi, 1200 x 600 px"}
+    assert path.read_text().splitlines()[2].startswith(HEADER.strip())
+
+
+def test_a_file_without_box_centres_has_them_at_the_positions(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(HEADER + "1,2,30.5,40.25,8,6,1,1\n0,2,30,40,8,6,1,0\n")
+    rows, _ = read_trajectories(path)
+    assert rows.frame.tolist() == [0, 1]
+    assert rows.boxes.tolist() == [[30, 40, 8, 6], [30.5, 40.25, 8, 6]]
+    assert rows.observed.tolist() == [False, True]
+
+
+def test_an_empty_table_is_a_valid_file(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    write_trajectories(path, some(0), {})
+    assert len(read_trajectories(path)[0]) == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", "should have the columns frame,track_id"),
+        ("x,y\n1,2\n", "should have the columns"),
+        (HEADER + "0,1,5,5,2,2,1\n", "8 columns"),
+        (HEADER + "0,1,5,five,2,2,1,1\n", "five"),
+        (HEADER + "0,1,5,nan,2,2,1,1\n", "y should be finite"),
+        (HEADER + "0,1,5,5,2,2,1,1\n0,1,6,6,2,2,1,1\n", "each pair once"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_its_name(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(DroptrackError, match=problem) as caught:
+        read_trajectories(path)
+    assert "t.csv" in str(caught.value)
+
+
+def test_a_missing_file_and_an_unwritable_folder_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DroptrackError, match="no such file"):
+        read_trajectories(tmp_path / "none.csv")
+    with pytest.raises(DroptrackError, match="cannot be written"):
+        write_trajectories(tmp_path / "no" / "folder.csv", some(), {})

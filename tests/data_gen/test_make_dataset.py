@@ -1,0 +1,118 @@
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes.arrangements import SCENES
+from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
+from droptrack.data.degradation import photographed
+from droptrack.errors import DroptrackError
+
+
+def digest(folder: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def make(folder: Path, recipe: Recipe, workers: int = 1) -> None:
+    *_, done = make_dataset(folder, recipe, workers)
+    assert done == recipe.images + recipe.valid
+
+
+def test_same_seed_gives_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
+    recipe = Recipe("all", 40, 5, seed=3)
+    make(tmp_path / "one", recipe)
+    make(tmp_path / "two", recipe, workers=2)
+    assert digest(tmp_path / "one") == digest(tmp_path / "two")
+    make(tmp_path / "other", Recipe("all", 40, 5, seed=4))
+    assert digest(tmp_path / "one") != digest(tmp_path / "other")
+
+
+def test_labels_read_back_are_the_boxes_that_were_drawn(tmp_path: Path) -> None:
+    make(tmp_path / "data", Recipe("tiny", 4, 1, seed=8))
+    data = read_data_file(tmp_path / "data" / "obj.data")
+    assert data.names == ("droplet",)
+    assert (len(data.train), len(data.valid)) == (4, 1)
+    for index, path in enumerate(data.train):
+        scene = SCENES["ab"[index % 2]](np.random.default_rng([8, 0, index]))
+        truth = read_truth(path, 1200, 600)
+        np.testing.assert_allclose(truth.boxes, scene.boxes, atol=0.01)
+        grey = read_image(path)[..., 0].astype(float)
+        assert np.abs(grey - scene.image).mean() < 1
+
+
+def test_an_interrupted_data_set_is_completed_to_the_same_bytes(tmp_path: Path) -> None:
+    recipe = Recipe("c", 70, 3, seed=1)
+    make(tmp_path / "whole", recipe)
+    progress = make_dataset(tmp_path / "cut", recipe, 1)
+    next(progress), next(progress)
+    progress.close()
+    assert len(list((tmp_path / "cut" / "train").glob("*.txt"))) == 32
+    (tmp_path / "cut" / "train" / "000040.jpg").write_bytes(b"half an ima")  # no label yet
+    make(tmp_path / "cut", recipe)
+    assert digest(tmp_path / "cut") == digest(tmp_path / "whole")
+
+
+def test_a_share_of_the_pictures_is_spoilt_and_no_label(tmp_path: Path) -> None:
+    make(tmp_path / "drawn", Recipe("c", 40, 4, seed=1))
+    make(tmp_path / "spoilt", Recipe("c", 40, 4, seed=1, spoilt=0.5))
+    drawn, spoilt = digest(tmp_path / "drawn"), digest(tmp_path / "spoilt")
+    changed = [name for name in drawn if drawn[name] != spoilt[name]]
+    pictures = [name for name in changed if name.endswith(".jpg")]
+    assert 12 <= len(pictures) <= 32
+    assert set(changed) - set(pictures) == {"dataset.json"}
+
+
+def test_a_data_set_from_before_pictures_could_be_spoilt_is_completed(tmp_path: Path) -> None:
+    recipe = Recipe("c", 3, 1, seed=1)
+    make(tmp_path, recipe)
+    manifest = tmp_path / "dataset.json"
+    manifest.write_text(manifest.read_text().replace('"spoilt": 0.0,', ""))
+    assert "spoilt" not in manifest.read_text()
+    make(tmp_path, recipe)
+    with pytest.raises(DroptrackError, match="of other spoilt"):
+        make(tmp_path, Recipe("c", 3, 1, seed=1, spoilt=1))
+
+
+def test_flaws_are_the_same_in_all_colours() -> None:
+    picture = SCENES["c"](np.random.default_rng(0)).image
+    grey = photographed(picture, np.random.default_rng(4))
+    colour = photographed(np.repeat(picture[..., None], 3, axis=2), np.random.default_rng(4))
+    assert grey.dtype == np.uint8
+    assert (colour == grey[..., None]).all()
+    assert (grey != picture).mean() > 0.02
+
+
+def test_another_data_set_is_not_overwritten(tmp_path: Path) -> None:
+    make(tmp_path, Recipe("a", 2, 1, seed=1))
+    before = digest(tmp_path)
+    with pytest.raises(DroptrackError, match="data set of other images"):
+        make(tmp_path, Recipe("a", 3, 1, seed=1))
+    assert digest(tmp_path) == before
+
+
+def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(DroptrackError, match="not empty"):
+        make(tmp_path, Recipe("a", 2, 1, seed=1))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("0 0.5 0.5 0.1\n", "class x y width height"),
+        ("droplet 0.5 0.5 0.1 0.1\n", "class x y width height"),
+        ("0 0.5 1.5 0.1 0.1\n", "between 0 and 1"),
+    ],
+)
+def test_a_damaged_label_file_is_named(tmp_path: Path, line: str, problem: str) -> None:
+    make(tmp_path, Recipe("a", 1, 1, seed=1))
+    (tmp_path / "train" / "000000.txt").write_text(line)
+    with pytest.raises(DroptrackError, match=rf"000000\.txt.*{problem}"):
+        read_truth(tmp_path / "train" / "000000.jpg", 1200, 600)

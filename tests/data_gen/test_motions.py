@@ -1,0 +1,94 @@
+"""The benchmark's motions are what their names say."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from data_gen.simulate import app
+from data_gen.videos.motions import HEIGHT, MOTIONS, WIDTH, Kind, Motion, make
+from droptrack.data.mot_files import open_detections
+from droptrack.data.trajectories import read_trajectories
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_perfect_detections_are_the_truth(name: str) -> None:
+    motion = replace(MOTIONS[name], missing=0, false=0, jitter=0, frames=8)
+    truth, frames = make(motion, 0)
+    for number, found in enumerate(frames):
+        mine = truth[truth.frame == number].boxes
+        boxes = found.boxes
+        np.testing.assert_allclose(
+            boxes[np.lexsort(boxes.T[:2])], mine[np.lexsort(mine.T[:2])], rtol=1e-12
+        )
+        assert (boxes[:, :2] >= boxes[:, 2:] / 2 - 1e-9).all()
+        assert (boxes[:, :2] <= [WIDTH, HEIGHT] - boxes[:, 2:] / 2 + 1e-9).all()
+
+
+def steps(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
+    """Places and steps a frame, in diameters, of droplets that are seen in frames 0 and 1."""
+    truth, _ = make(motion, 3)
+    first, second = (truth[truth.frame == t] for t in (0, 1))
+    _, i, j = np.intersect1d(first.track_id, second.track_id, return_indices=True)
+    place = np.column_stack([first.x, first.y])[i]
+    return place, (np.column_stack([second.x, second.y])[j] - place) / motion.diameter
+
+
+def test_speeds_are_in_diameters_a_frame() -> None:
+    _, uniform = steps(Motion(Kind.uniform, speed=1.5, frames=3))
+    np.testing.assert_allclose(uniform, np.tile([1.5, 0], (len(uniform), 1)), atol=1e-9)
+    place, shear = steps(Motion(Kind.shear, speed=2, frames=3))
+    np.testing.assert_allclose(shear[:, 0], 2 * place[:, 1] / HEIGHT, atol=1e-9)
+    _, packing = steps(replace(MOTIONS["packing"], frames=3))
+    np.testing.assert_allclose(packing, np.tile([0.525, 0], (len(packing), 1)), atol=1e-9)
+
+
+def test_vortices_neither_gain_nor_lose_area() -> None:
+    """A droplet's step turns with the stream function sin(kx) sin(ky), which it keeps."""
+    truth, _ = make(Motion(Kind.vortices, frames=40), 0)
+    k = 2 * np.pi / HEIGHT
+    stream = np.sin(k * truth.x) * np.sin(k * truth.y)
+    for droplet in np.unique(truth.track_id)[:20]:
+        mine = stream[truth.track_id == droplet]
+        np.testing.assert_allclose(mine, mine[0], atol=2e-4)
+
+
+def test_faults_are_as_frequent_and_large_as_asked_for() -> None:
+    clean, _ = make(Motion(Kind.vortices, frames=40), 0)
+    n = len(clean)
+    _, missing = make(Motion(Kind.vortices, frames=40, missing=0.3), 0)
+    assert 1 - sum(map(len, missing)) / n == pytest.approx(0.3, abs=0.02)
+    _, false = make(Motion(Kind.vortices, frames=40, false=0.2), 0)
+    assert sum(map(len, false)) / n - 1 == pytest.approx(0.2, abs=0.02)
+    truth, jitter = make(Motion(Kind.vortices, frames=2, jitter=0.1), 0)
+    boxes, true = jitter[0].boxes, truth[truth.frame == 0].boxes
+    apart = np.hypot(*(boxes[:, None, :2] - true[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+    assert np.sqrt((apart**2).mean() / 2) == pytest.approx(2, rel=0.15)
+
+
+def test_half_of_the_droplets_grow_and_half_shrink() -> None:
+    truth, _ = make(Motion(Kind.growing, speed=0, frames=11), 0)
+    first, last = (truth[truth.frame == t] for t in (0, 10))
+    _, i, j = np.intersect1d(first.track_id, last.track_id, return_indices=True)
+    change = last.boxes[j, 2] / first.boxes[i, 2]
+    assert set(change.round(6)) == {0.5, 2.0}
+    assert (change > 1).mean() == pytest.approx(0.5, abs=0.1)
+
+
+def test_the_command_writes_detections_and_truth(tmp_path: Path) -> None:
+    options = ["--out", str(tmp_path), "--kind", "channel", "--frames", "5", "--seed", "2"]
+    result = CliRunner().invoke(app, ["motions", *options])
+    assert result.exit_code == 0, result.output
+    truth, about = read_trajectories(tmp_path / "truth.csv")
+    frames = [found for found, _ in open_detections(tmp_path / "detections.txt")]
+    assert [len(found) for found in frames] == np.bincount(truth.frame).tolist()
+    assert "1200 x 600 px" in about["video"]
+
+
+def test_too_many_droplets_are_refused(tmp_path: Path) -> None:
+    options = ["--out", str(tmp_path), "--droplets", "5000"]
+    result = CliRunner().invoke(app, ["motions", *options])
+    assert result.exit_code == 1
+    assert "no room for 5000 droplets" in result.output

@@ -1,0 +1,93 @@
+"""A network tried on labelled images, through the command."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+from typer.testing import CliRunner
+
+from data_gen.make_dataset import Recipe, make_dataset
+from droptrack.data.darknet_dataset import read_data_file, read_image, read_scenes
+from droptrack.evaluate import app
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("validation") / "data"
+    for _ in make_dataset(folder, Recipe("tiny", 2, 40, seed=9), 1):
+        pass
+    return folder / "obj.data"
+
+
+def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.json"
+    result = CliRunner().invoke(app, ["--data", str(data), "--json", str(report)])
+    assert result.exit_code == 0, result.output
+    content = json.loads(report.read_text())
+    summary, scenes = content["summary"], {row["scene"]: row for row in content["droplets"]}
+    assert {scene: row["n_images"] for scene, row in scenes.items()} == {"a": 20, "b": 20}
+    assert scenes["b"]["n_droplets"] == 40  # two cores each
+    assert summary["n_droplets"] == scenes["a"]["n_droplets"] + 40
+    for scores in (summary, *scenes.values()):
+        assert scores["map_50"] > 0.99
+        assert scores["coco_ap_50"] == pytest.approx(scores["map_50"], abs=0.02)
+        assert 0.7 < scores["coco_ap_50_95"] < scores["coco_ap_50"]
+        assert scores["f1"] > 0.95
+        assert scores["average_iou"] > 0.85
+
+
+@pytest.mark.parametrize(
+    ("options", "engine"),
+    [
+        ((), "opencv fp32"),
+        (("--precision", "auto"), "opencv fp32, pruned"),
+        (("--backend", "torch", "--precision", "bf16"), "torch bf16"),
+    ],
+)
+def test_all_of_the_network_is_tried_unless_another_is_named(
+    options: tuple[str, ...], engine: str, data: Path, tmp_path: Path
+) -> None:
+    if "torch" in options:
+        pytest.importorskip("torch", reason="needs the extra [train]")
+    report = tmp_path / "report.json"
+    arguments = ["--data", str(data), "--images", "10", "--json", str(report), *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    content = json.loads(report.read_text())
+    assert content["settings"]["engine"] == engine
+    assert content["summary"]["map_50"] > 0.99
+
+
+def test_dark_droplets_are_found_as_bright_ones_of_the_negative(data: Path, tmp_path: Path) -> None:
+    folder = shutil.copytree(data.parent, tmp_path / "dark")
+    pictures = read_data_file(folder / "obj.data")
+    for path in pictures.valid:
+        cv2.imwrite(str(path), 255 - read_image(path))
+    found = {}
+    for options in ((), ("--dark",)):
+        report = tmp_path / f"report{len(options)}.json"
+        arguments = ["--data", str(pictures.path), "--json", str(report), *options]
+        assert CliRunner().invoke(app, arguments).exit_code == 0
+        found[options] = json.loads(report.read_text())["summary"]["map_50"]
+    assert found["--dark",] > 0.99
+    assert found[()] < 0.5
+
+
+def test_scenes_are_read_back_as_they_take_turns(data: Path) -> None:
+    pictures = read_data_file(data)
+    scenes = read_scenes(pictures)
+    assert [scenes[image] for image in pictures.valid] == list(20 * "ab")
+    (data.parent / "scenes.txt").rename(data.parent / "away.txt")
+    assert read_scenes(pictures) == {}
+    (data.parent / "away.txt").rename(data.parent / "scenes.txt")
+
+
+def test_half_a_question_is_refused(data: Path, tmp_path: Path) -> None:
+    for arguments in ([], [str(tmp_path / "truth.csv")], ["--weights", "x.weights"]):
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 1
+        assert "give TRUTH.csv and TRAJECTORIES.csv, or --data obj.data" in result.output
+    missing = CliRunner().invoke(app, ["--data", str(data.parent / "no.data")])
+    assert "no.data: no such file" in missing.output

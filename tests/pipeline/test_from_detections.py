@@ -1,0 +1,251 @@
+"""Tracking a file of detections: no video, no network."""
+
+import json
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from droptrack.__main__ import app
+from droptrack.data.detections import labels
+from droptrack.data.mot_files import BLOCK, MERGE_BLOCK, open_detections, write_detections
+from droptrack.data.trajectories import read_trajectories
+from droptrack.errors import DroptrackError
+from droptrack.pipeline.from_detections import open_descriptors
+
+TWO = [[20.0, 30, 10, 12], [60.0, 30, 14, 10]]
+
+
+def file_of(folder: Path, text: str) -> Path:
+    path = folder / "detections.txt"
+    path.write_text(text)
+    return path
+
+
+def track(*options: str) -> str:
+    result = CliRunner().invoke(app, ["track", *options])
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def fails(*options: str) -> str:
+    result = CliRunner().invoke(app, ["track", *options])
+    assert result.exit_code == 1, result.output
+    return result.stderr.strip()
+
+
+def test_a_file_reads_back_to_the_same_detections(tmp_path: Path) -> None:
+    path = tmp_path / "d.txt"
+    write_detections(path, [labels(TWO), labels([]), labels(TWO[:1])])
+    file = open_detections(path)
+    assert [found.boxes.tolist() for found, _ in file] == [TWO, [], TWO[:1]]
+    assert [rows.tolist() for _, rows in file] == [[0, 1], [], [2]]
+    assert (file.n_frames, file.n_rows, file.out_of_order) == (3, 3, 0)
+    assert (file.right, file.bottom) == (67, 36)
+    assert path.read_text().splitlines()[0] == (
+        "1,-1,15.000000,24.000000,10.000000,12.000000,1.000000"
+    )
+
+
+def test_rows_in_any_order_more_columns_and_frames_that_skip(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "4 -1 0 0 8 8 0.5 -1 -1 -1\n\n1 -1 2 0 8 8 0.9 -1 -1 -1\n")
+    file = open_detections(path)
+    assert (file.n_frames, file.out_of_order) == (4, 2)
+    frames, rows = zip(*file, strict=True)
+    assert [len(found) for found in frames] == [1, 0, 0, 1]
+    assert (frames[0].scores.tolist(), frames[0].boxes[0].tolist()) == ([0.9], [6, 4, 8, 8])
+    assert [r.tolist() for r in rows] == [[1], [], [], [0]]
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+def test_blocks_leave_no_seams(tmp_path: Path, shuffled: bool) -> None:
+    """Frames of 0 to 3,000 boxes that go on from block to block: the same as sorted by NumPy."""
+    rng = np.random.default_rng(0)
+    number = np.sort(rng.integers(1, 60, 2 * BLOCK + 10))
+    number = np.concatenate([number, np.full(3000, 61)])
+    if shuffled:
+        number = rng.permutation(number)
+    left = np.arange(len(number))
+    path = file_of(
+        tmp_path, "".join(f"{t},-1,{x},0,8,8,1\n" for t, x in zip(number, left, strict=True))
+    )
+    file = open_detections(path)
+    assert bool(file.out_of_order) == shuffled
+    assert (file.n_frames, file.n_rows, file.right) == (61, len(number), len(number) + 7)
+    frames = list(file)
+    assert len(frames) == 61
+    assert max(len(found) for found, _ in frames) > MERGE_BLOCK
+    for t, (found, rows) in enumerate(frames, 1):
+        np.testing.assert_array_equal(rows, np.flatnonzero(number == t))
+        np.testing.assert_array_equal(found.boxes[:, 0], rows + 4)
+
+
+def test_rows_of_later_blocks_are_counted_from_the_start(tmp_path: Path) -> None:
+    good = "1,-1,0,0,8,8,1\n" * (BLOCK + 4)
+    for row, problem in (
+        ("1,-1,0,0,8,nan,1", f"frame 1, row {BLOCK + 5}: boxes and scores should be finite"),
+        ("1,-1,0,0,8", f"row {BLOCK + 5} should be the numbers frame,-1,left"),
+    ):
+        with pytest.raises(DroptrackError, match=problem):
+            open_detections(file_of(tmp_path, f"{good}{row}\n"))
+
+
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    """Five times the frames, in order and not: all rows of the longer file would be 11 MB."""
+    peaks = []
+    for n_frames, step in ((4_000, 1), (20_000, 1), (20_000, -1)):
+        frames = range(1, n_frames + 1)[::step]
+        text = "".join(f"{t},-1,{x},0,8,8,1\n" for t in frames for x in range(0, 100, 10))
+        path = file_of(tmp_path, text)
+        del text
+        tracemalloc.start()
+        n = sum(len(found) for found, _ in open_detections(path))
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert n == 10 * n_frames
+    assert max(peaks) < 1.4 * min(peaks)
+
+
+def test_an_empty_file_has_no_frames(tmp_path: Path) -> None:
+    assert list(open_detections(file_of(tmp_path, "\n"))) == []
+
+
+@pytest.mark.parametrize(
+    ("row", "problem"),
+    [
+        ("2,-1,0,0,8,nan,1", "frame 2, row 2: boxes and scores should be finite"),
+        ("2,-1,0,0,inf,8,1", "frame 2, row 2: boxes and scores should be finite"),
+        ("3,-1,0,0,-8,8,1", "frame 3, row 2: boxes need a width and height above 0"),
+        ("0,-1,0,0,8,8,1", "frame 0, row 2: a frame should be a whole number from 1"),
+        ("1.5,-1,0,0,8,8,1", "frame 1.5, row 2: a frame should be a whole number"),
+        ("99999999,-1,0,0,8,8,1", "row 2: a frame should be 10000000 or less"),
+        ("1,-1,0,0,8,eight,1", "row 2 should be the numbers frame,-1,.*, not 1,-1,0,0,8,eight,1"),
+        ("1,-1,0,0,8,8", "row 2 should be the numbers frame,-1,.*, not 1,-1,0,0,8,8"),
+    ],
+)
+def test_what_cannot_be_a_box_is_refused_with_its_place(
+    tmp_path: Path, row: str, problem: str
+) -> None:
+    path = file_of(tmp_path, f"1,-1,0,0,8,8,1\n{row}\n")
+    with pytest.raises(DroptrackError, match=r"detections\.txt: .*" + problem):
+        open_detections(path)
+
+
+def test_too_few_columns_and_missing_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DroptrackError, match="row 1 should be the numbers frame,-1,left"):
+        open_detections(file_of(tmp_path, "1,-1,0,0,8\n"))
+    with pytest.raises(DroptrackError, match="no such file"):
+        open_detections(tmp_path / "none.txt")
+    with pytest.raises(DroptrackError, match="can be read twice"):
+        open_detections(tmp_path)
+    path = tmp_path / "latin.txt"
+    path.write_bytes(b"1,-1,0,0,8,8,1\n\xe9\n")
+    with pytest.raises(DroptrackError, match="cannot be read as text"):
+        open_detections(path)
+
+
+def moving(n_frames: int) -> list[list[list[float]]]:
+    """Two droplets, one partly and at last wholly beyond the picture's left edge."""
+    return [
+        [[30.0 + 2 * t, 40, 20, 20], [20.0 - 3 * t, 80 + 0.5 * t, 18, 22]] for t in range(n_frames)
+    ]
+
+
+def test_a_file_is_tracked_into_a_folder(tmp_path: Path) -> None:
+    path, out = tmp_path / "d.txt", tmp_path / "out"
+    write_detections(path, [labels(boxes) for boxes in moving(20)])
+    output = track("--detections", str(path), "--out", str(out))
+    assert "results in" in output
+    rows, about = read_trajectories(out / "trajectories.csv")
+    assert about["detections"].endswith("d.txt, 20 frames")
+    for droplet in (1, 2):
+        mine = rows[rows.track_id == droplet]
+        expected = [boxes[droplet - 1][:2] for boxes in moving(20)]
+        np.testing.assert_allclose(np.column_stack([mine.x, mine.y]), expected)
+    table = np.loadtxt(out / "trajectories.csv", delimiter=",", skiprows=4)
+    header = (out / "trajectories.csv").read_text().splitlines()[3].split(",")
+    velocity = table[:, header.index("velocity_x")].reshape(20, 2)
+    np.testing.assert_allclose(velocity, np.tile([2.0, -3.0], (20, 1)), atol=0.01)
+    assert not table[:, header.index("centre_of_mass")].any()
+    report = json.loads((out / "report.json").read_text())
+    assert report["summary"]["n_droplets"] == 2
+    assert (out / "paths.png").exists()
+
+
+def test_deepsort_looks_at_the_descriptors(tmp_path: Path) -> None:
+    """Two droplets within one gate, listed in another order each frame: their looks tell."""
+    places = [[100.0, 50, 40, 40], [104.0, 50, 40, 40]]
+    order = [-1 if t >= 5 and t % 2 else 1 for t in range(12)]
+    boxes = [places[::way] for way in order]
+    path, looks = tmp_path / "d.txt", tmp_path / "d.npy"
+    write_detections(path, [labels(b) for b in boxes])
+    np.save(looks, np.concatenate([3 * np.eye(2)[::way] for way in order]))
+    options = ["--detections", str(path), "--tracker", "deepsort"]
+    steps = {}
+    for name, more in (("with", ["--descriptors", str(looks)]), ("without", [])):
+        out = tmp_path / name
+        track(*options, *more, "--out", str(out))
+        rows, _ = read_trajectories(out / "trajectories.csv")
+        first = rows.x[rows.track_id == 1]
+        steps[name] = np.abs(np.diff(first[4:]))
+    assert steps["with"].tolist() == [0] * 7
+    assert steps["without"].tolist() == [4] * 7
+
+
+def test_a_file_without_detections_gives_an_empty_table(tmp_path: Path) -> None:
+    path, out = file_of(tmp_path, ""), tmp_path / "out"
+    track("--detections", str(path), "--out", str(out))
+    assert len(read_trajectories(out / "trajectories.csv")[0]) == 0
+
+
+def test_an_unsorted_file_is_tracked_like_the_sorted_one_and_says_so(tmp_path: Path) -> None:
+    path, looks = tmp_path / "d.txt", tmp_path / "d.npy"
+    write_detections(path, [labels(boxes) for boxes in moving(20)])
+    lines = path.read_text().splitlines(keepends=True)
+    order = np.random.default_rng(0).permutation(len(lines))
+    early = 2 + int(np.flatnonzero(np.diff(order // 2) < 0)[0])  # row, from 1; two rows a frame
+    shuffled = file_of(tmp_path, "".join(lines[i] for i in order))
+    descriptors = np.tile(np.eye(2), (20, 1))
+    rows = {}
+    for file in (path, shuffled):
+        np.save(looks, descriptors if file is path else descriptors[order])
+        options = ["--detections", str(file), "--descriptors", str(looks)]
+        output = track(*options, "--out", str(tmp_path / "out"))
+        assert (f"row {early} belongs before the one above it" in output) == (file is shuffled)
+        rows[file] = read_trajectories(tmp_path / "out" / "trajectories.csv")[0]
+    # who is 1 and who is 2 is a matter of the rows' order
+    for name in ("frame", "x", "y", "scores"):
+        ours, theirs = (
+            np.column_stack([t.frame, getattr(t, name)])[np.lexsort((t.y, t.frame))]
+            for t in rows.values()
+        )
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_descriptors_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "d.npy"
+    for table, problem in (
+        (np.ones((2, 4)), r"should be 3 rows of numbers, not \(2, 4\)"),
+        (np.ones(3), "should be 3 rows"),
+        (np.array([[1.0, 0], [0, 0], [0, 1]]), "row 2 has no direction"),
+        (np.array([[1.0, 0], [0, 1], [np.nan, 1]]), "row 3 has no direction"),
+    ):
+        np.save(path, table)
+        with pytest.raises(DroptrackError, match=problem):
+            open_descriptors(path, 3)
+    path.write_text("no array")
+    with pytest.raises(DroptrackError, match=r"cannot be read as \.npy"):
+        open_descriptors(path, 3)
+    np.save(path, np.array([[3.0, 4], [0, 2], [1, 0]]))
+    looks = open_descriptors(path, 3)
+    assert looks(np.array([0, 1])).tolist() == [[0.6, 0.8], [0, 1]]
+    assert looks(np.array([2])).tolist() == [[1, 0]]
+
+
+def test_options_that_exclude_each_other_are_refused(tmp_path: Path) -> None:
+    path = str(file_of(tmp_path, ""))
+    assert "takes the place of a video" in fails("video.avi", "--detections", path)
+    assert "name a video" in fails()
+    assert "name a video" in fails("video.avi", "--descriptors", path)

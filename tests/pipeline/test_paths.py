@@ -1,0 +1,55 @@
+"""Paths whose lengths one can count by hand."""
+
+import math
+
+import numpy as np
+
+from droptrack.data.trajectories import Trajectories, sorted_trajectories
+from droptrack.pipeline.paths import MOST_POINTS, Paths
+
+
+def rows(points: list[tuple[int, int, float, float, bool]]) -> Trajectories:
+    """Of frame, identity, x, y and whether observed; boxes are 4 x 9 px."""
+    n = len(points)
+    frame, track_id, x, y, observed = (np.array(column) for column in zip(*points, strict=True))
+    boxes = np.column_stack([x, y, np.full(n, 4.0), np.full(n, 9.0)])
+    return sorted_trajectories(frame, track_id, x, y, boxes, np.ones(n), observed)
+
+
+def test_a_path_is_as_long_as_its_steps() -> None:
+    paths = Paths()
+    paths.add(rows([(3, 2, 0.0, 0.0, True), (4, 1, 7.0, 7.0, True), (4, 2, 3.0, 4.0, False)]))
+    paths.add(rows([(5, 2, 3.0, 5.0, True)]))
+    first, second = paths.table()
+    assert (first["track_id"], first["path_px"], first["n_observed"]) == (1, 0.0, 1)
+    assert math.isnan(float(first["speed_px_per_frame"]))  # type: ignore[arg-type]
+    assert second == {
+        "track_id": 2,
+        "first_frame": 3,
+        "last_frame": 5,
+        "n_observed": 2,
+        "n_bridged": 1,
+        "diameter_px": 6.0,
+        "path_px": 6.0,
+        "speed_px_per_frame": 3.0,
+    }
+
+
+def test_lines_are_thinned_but_reach_the_end() -> None:
+    paths = Paths()
+    paths.add(rows([(t, 1, 0.5 * t, 0.0, True) for t in range(101)]))
+    (line,) = paths.lines().values()
+    assert line[:, 0].tolist() == [*np.arange(0, 50.1, 2.5).tolist(), 50.0]
+
+
+def test_long_lines_are_thinned_more_and_keep_their_shape() -> None:
+    """A hundred thousand steps of 5 px along a parabola."""
+    paths = Paths()
+    t = np.arange(100_000)
+    x, y = 5.0 * t, 1e-4 * (5.0 * t) ** 2
+    for part in np.array_split(t, 10):
+        paths.add(rows([(k, 1, x[k], y[k], True) for k in part.tolist()]))
+    (line,) = paths.lines().values()
+    assert MOST_POINTS / 4 < len(line) <= MOST_POINTS + 1
+    assert (line[0].tolist(), line[-1].tolist()) == ([0, 0], [x[-1], np.float32(y[-1])])
+    np.testing.assert_allclose(line[:, 1], 1e-4 * line[:, 0].astype(float) ** 2, rtol=1e-5)

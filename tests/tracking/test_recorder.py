@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+
+from droptrack.data.detections import Detections
+from droptrack.tracking.recorder import Recorded, Recorder
+from droptrack.tracking.tracker import Update
+
+
+def add(
+    recorder: Recorder,
+    frame: int,
+    where: dict[int, float],
+    confirmed: tuple[int, ...] = (),
+    ended: tuple[int, ...] = (),
+    joined: tuple[tuple[int, int], ...] = (),
+) -> None:
+    """Droplets by identity at x = y = where, boxes of 10 px."""
+    ids = np.array(list(where), np.int64)
+    centres = np.array([[v, v] for v in where.values()]).reshape(-1, 2)
+    boxes = np.hstack([centres, np.full_like(centres, 10)])
+    found = Detections(boxes, np.full(len(ids), 0.9), np.zeros(len(ids), np.int64))
+    measured = np.ones(len(ids), bool)
+    recorder.add(frame, found, centres, measured, Update(ids, confirmed, ended, joined))
+
+
+def table(recorded: Recorded) -> list[tuple[int, int, float, bool]]:
+    rows = recorded.rows
+    return list(
+        zip(
+            rows.frame.tolist(),
+            rows.track_id.tolist(),
+            rows.x.tolist(),
+            rows.observed.tolist(),
+            strict=True,
+        )
+    )
+
+
+def test_frames_before_confirmation_are_filled_in() -> None:
+    recorder = Recorder(hold=30)
+    for frame in range(3):
+        add(recorder, frame, {1: frame}, confirmed=(1,) if frame == 2 else ())
+    assert table(recorder.take_rest(unconfirmed=False)) == [(t, 1, t, True) for t in range(3)]
+
+
+def test_a_track_that_is_never_confirmed_leaves_no_rows() -> None:
+    recorder = Recorder(hold=30)
+    add(recorder, 0, {1: 5})
+    add(recorder, 1, {}, ended=(1,))
+    assert table(recorder.take_rest(unconfirmed=True)) == []
+
+
+def test_a_gap_is_bridged_on_a_straight_line_and_said_to_be() -> None:
+    recorder = Recorder(hold=30)
+    add(recorder, 0, {1: 10.0}, confirmed=(1,))
+    for frame in (1, 2):
+        add(recorder, frame, {})
+    add(recorder, 3, {1: 16.0})
+    rows = recorder.take_rest(unconfirmed=False)
+    assert table(rows) == [(0, 1, 10, True), (1, 1, 12, False), (2, 1, 14, False), (3, 1, 16, True)]
+    assert rows.rows.scores.tolist() == [0.9, 0, 0, 0.9]
+    assert rows.measured.tolist() == [True, False, False, True]
+
+
+def test_rows_are_final_once_no_gap_can_reach_back_and_given_once() -> None:
+    recorder = Recorder(hold=2)
+    given = []
+    for frame in range(6):
+        add(recorder, frame, {1: frame}, confirmed=(1,) if frame == 0 else ())
+        given.append(table(recorder.take_final()))
+    assert [len(rows) for rows in given] == [0, 0, 0, 1, 1, 1]
+    assert given[3] == [(0, 1, 0, True)]
+    assert [t for t, *_ in table(recorder.take_rest(unconfirmed=False))] == [3, 4, 5]
+
+
+def test_rows_stay_in_order_where_a_live_source_leaves_frames_out() -> None:
+    """One droplet is missed in two of the frames that were looked at, 0, 10, 20 and so on."""
+    recorder = Recorder(hold=3)
+    rows = []
+    for frame in range(0, 100, 10):
+        where = {1: 1.0 * frame}
+        if frame not in {20, 30}:
+            where[2] = 2.0 * frame
+        add(recorder, frame, where, confirmed=(1, 2) if frame == 0 else ())
+        rows += table(recorder.take_final())
+    rows += table(recorder.take_rest(unconfirmed=False))
+    assert [row[:2] for row in rows] == [(t, one) for t in range(91) for one in (1, 2)]
+    assert [x for _, _, x, _ in rows] == pytest.approx([one * t for t, one, *_ in rows])
+    seen = [t for t, one, _, observed in rows if one == 2 and observed]
+    assert seen == [0, 10, *range(40, 100, 10)]
+
+
+def test_the_rows_of_a_frame_can_be_seen_before_they_are_final() -> None:
+    recorder = Recorder(hold=30)
+    add(recorder, 0, {1: 1.0})
+    assert recorder.rows_of(0) == []
+    add(recorder, 1, {1: 2.0}, confirmed=(1,))
+    assert [row.track_id for row in recorder.rows_of(0)] == [1]
+    assert recorder.rows_of(0)[0].values[0] == pytest.approx(1)
+
+
+def test_a_new_track_that_continues_an_old_one_gets_its_identity_and_the_gap_is_bridged() -> None:
+    recorder = Recorder(hold=30)
+    add(recorder, 0, {1: 10.0}, confirmed=(1,))
+    add(recorder, 1, {})
+    add(recorder, 2, {2: 14.0})
+    add(recorder, 3, {1: 16.0}, joined=((2, 1),))
+    assert table(recorder.take_rest(unconfirmed=False)) == [
+        (0, 1, 10, True),
+        (1, 1, 12, False),
+        (2, 1, 14, True),
+        (3, 1, 16, True),
+    ]
+
+
+def test_of_two_boxes_of_one_droplet_the_larger_counts() -> None:
+    """Two tracks side by side that turn out to be one: never two rows of it in a frame."""
+    recorder = Recorder(hold=30)
+    add(recorder, 0, {1: 10.0}, confirmed=(1,))
+    boxes = np.array([[11.0, 11, 8, 8], [13.0, 13, 9, 9]])
+    found = Detections(boxes, np.ones(2), np.zeros(2, np.int64))
+    update = Update(np.array([1, 2]), (), ())
+    recorder.add(1, found, boxes[:, :2], np.ones(2, bool), update)
+    add(recorder, 2, {1: 14.0}, joined=((2, 1),))
+    assert table(recorder.take_rest(unconfirmed=False)) == [
+        (0, 1, 10, True),
+        (1, 1, 13, True),
+        (2, 1, 14, True),
+    ]

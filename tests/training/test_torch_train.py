@@ -1,0 +1,274 @@
+"""The PyTorch trainer and its pictures, against each other and against hand counts."""
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+torch = pytest.importorskip("torch", reason="needs the extra [train]")
+
+from data_gen.make_dataset import Recipe, make_dataset, picture_source
+from droptrack.data.darknet_dataset import DataSet, read_data_file
+from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import parse_cfg, read_cfg
+from droptrack.network.darknet_weights import read_weights
+from droptrack.training.log import read_log
+from droptrack.training.pytorch import training as torch_train
+from droptrack.training.pytorch.devices import choose_devices
+from droptrack.training.pytorch.pictures import Augmentation, Batches, augment
+from droptrack.training.pytorch.training import Job, Settings, learning_rate, train
+
+SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    folder = tmp_path_factory.mktemp("data") / "a"
+    for _ in make_dataset(folder, Recipe("a", 24, 8, seed=2), 1):
+        pass
+    return read_data_file(folder / "obj.data")
+
+
+def settings(**changes: object) -> Settings:
+    options: dict[str, object] = {
+        "iterations": 30,
+        "batch": 4,
+        "subdivisions": 1,
+        "optimizer": "adamw",
+        "learning_rate": 0.003,
+        "window": None,
+        "sizes": None,
+        "seed": 5,
+        "workers": 0,
+        "save_every": 10,
+        "map_every": 1000,
+        "map_images": 4,
+        "patience": 0,
+        "devices": ("cpu",),
+        "bf16": True,
+    }
+    return Settings(**{**options, **changes})  # type: ignore[arg-type]
+
+
+def test_training_lowers_the_loss_and_leaves_weights_that_load(
+    data: DataSet, tmp_path: Path
+) -> None:
+    cfg = read_cfg(SMALL)
+    steps = list(train(Job(cfg, data, tmp_path, settings(iterations=60))))
+    losses = [step.loss for step in steps]
+    assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
+    assert read_weights(tmp_path / "small-yolov3_final.weights", cfg).seen == 60 * 4
+    rows = (tmp_path / "training.csv").read_text().splitlines()
+    assert len(rows) == 61
+    assert rows[1].startswith("1,")
+
+
+def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
+    data: DataSet, tmp_path: Path
+) -> None:
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "cut").mkdir()
+    cfg = read_cfg(SMALL)
+    whole = list(train(Job(cfg, data, tmp_path / "whole", settings())))
+    training = train(Job(cfg, data, tmp_path / "cut", settings()))
+    for _ in range(12):
+        next(training)
+    training.close()  # as Ctrl-C does
+    rest = list(train(Job(cfg, data, tmp_path / "cut", settings(), resume=True)))
+    assert [step.iteration for step in rest] == list(range(13, 31))
+    np.testing.assert_allclose([s.loss for s in rest], [s.loss for s in whole[12:]], rtol=1e-3)
+    end, other = (
+        read_weights(tmp_path / n / "small-yolov3_final.weights", cfg) for n in ("whole", "cut")
+    )
+    np.testing.assert_allclose(end.values, other.values, rtol=1e-2, atol=1e-3)
+
+
+def test_an_iteration_that_was_broken_off_is_done_again(
+    data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal comes in the middle of the fifth iteration."""
+    cfg = read_cfg(SMALL)
+    step, calls = torch_train._step, count(1)
+
+    def interrupted(*arguments: Any) -> Any:
+        if next(calls) == 5:
+            raise KeyboardInterrupt
+        return step(*arguments)
+
+    monkeypatch.setattr(torch_train, "_step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(train(Job(cfg, data, tmp_path, settings(iterations=8))))
+    list(train(Job(cfg, data, tmp_path, settings(iterations=8), resume=True)))
+    assert [row.iteration for row in read_log(tmp_path / "training.csv")] == list(range(1, 9))
+
+
+def test_a_job_ended_by_a_cluster_says_how_to_go_on(data: DataSet, tmp_path: Path) -> None:
+    """SIGTERM for all processes at once, as from a queue whose time is over."""
+    out = tmp_path / "run"
+    options: dict[str, object] = {
+        "--cfg": SMALL,
+        "--data": data.train[0].parents[1] / "obj.data",
+        "--out": out,
+    }
+    options |= {"--trainer": "torch", "--workers": 2, "--batch": 4, "--iterations": 100_000}
+    command = [sys.executable, "-m", "droptrack.train"]
+    command += [str(word) for pair in options.items() for word in pair]
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        deadline = time.monotonic() + 120
+        while not (out / "training.csv").exists() or len(read_log(out / "training.csv")) < 3:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        os.killpg(process.pid, signal.SIGTERM)
+        said = process.communicate(timeout=60)[1]
+    done = read_log(out / "training.csv")[-1].iteration
+    assert process.returncode == 1
+    assert f"stopped; --resume goes on from iteration {done}" in " ".join(said.split())
+    assert "Traceback" not in said
+
+
+def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:
+    """Without batch normalisation, whose statistics are those of what is computed together."""
+    text = SMALL.read_text().replace("batch_normalize=1", "batch_normalize=0")
+    cfg = parse_cfg(text, SMALL)
+    values, losses = [], []
+    for n, (devices, subdivisions) in enumerate(((1, 1), (1, 2), (2, 1))):
+        out = tmp_path / str(n)
+        out.mkdir()
+        how = settings(
+            iterations=6,
+            devices=("cpu",) * devices,
+            subdivisions=subdivisions,
+            bf16=False,
+            optimizer="sgd",
+        )
+        steps = list(train(Job(cfg, data, out, how)))
+        assert len((out / "training.csv").read_text().splitlines()) == 7
+        values.append(read_weights(out / "small-yolov3_final.weights", cfg).values)
+        losses.append([[step.loss, step.objectness] for step in steps])
+    for other in (1, 2):
+        np.testing.assert_allclose(values[other], values[0], rtol=1e-3, atol=1e-5)
+        np.testing.assert_allclose(losses[other], losses[0], rtol=1e-3)
+
+
+def test_gpus_that_are_not_there_are_named() -> None:
+    with pytest.raises(DroptrackError, match=r"--gpus 0,77: PyTorch finds \d+, numbered from 0"):
+        choose_devices("0,77", 8, 1)
+
+
+def test_training_stops_when_the_map_gets_no_better(data: DataSet, tmp_path: Path) -> None:
+    """At a rate of nothing the second mAP equals the first."""
+    cfg = read_cfg(SMALL)
+    idle = settings(learning_rate=0.0, map_every=3, patience=1)
+    steps = list(train(Job(cfg, data, tmp_path, idle)))
+    assert steps[-1].iteration == 6
+    assert read_weights(tmp_path / "small-yolov3_final.weights", cfg).seen == 6 * 4
+
+
+def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
+    data: DataSet, tmp_path: Path
+) -> None:
+    cfg = read_cfg(SMALL)
+    drawn: list[NDArray[np.float64]] = []
+    source = picture_source("tiny")
+
+    def draw(rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        image, boxes = source(rng)
+        assert image.shape == (600, 1200, 3)
+        drawn.append(boxes)
+        return image, boxes
+
+    training = train(Job(cfg, data, tmp_path, settings(), draw=draw))
+    for _ in range(4):
+        next(training)
+    training.close()
+    assert len(drawn) == 4 * 4
+    assert len({boxes.tobytes() for boxes in drawn}) == 16
+    list(train(Job(cfg, data, tmp_path, settings(iterations=6), resume=True, draw=draw)))
+    assert len({boxes.tobytes() for boxes in drawn}) == 24  # none of the first 16 again
+    with pytest.raises(DroptrackError, match="no scene nought; there are a, b"):
+        picture_source("nought")
+
+
+def test_training_holds_on_to_no_tensors(data: DataSet, tmp_path: Path) -> None:
+    cfg = read_cfg(SMALL)
+    counts = []
+    for step in train(Job(cfg, data, tmp_path, settings(iterations=25))):
+        if step.iteration in (5, 25):
+            gc.collect()
+            counts.append(sum(issubclass(type(item), torch.Tensor) for item in gc.get_objects()))
+    assert counts[0] == counts[1] > 10
+
+
+def test_a_loss_that_is_no_number_stops_the_training(data: DataSet, tmp_path: Path) -> None:
+    cfg = read_cfg(SMALL)
+    wild = settings(optimizer="sgd", learning_rate=1e12)
+    with pytest.raises(DroptrackError, match="no number any more at iteration"):
+        list(train(Job(cfg, data, tmp_path, wild)))
+
+
+def test_a_label_of_a_class_that_is_not_there_is_named(data: DataSet, tmp_path: Path) -> None:
+    image = tmp_path / "0.jpg"
+    image.write_bytes(data.train[0].read_bytes())
+    image.with_suffix(".txt").write_text("1 0.5 0.5 0.1 0.1\n")
+    cfg = read_cfg(SMALL)
+    wrong = replace(data, train=(image,))
+    with pytest.raises(DroptrackError, match=r"0\.txt: has class 1, but the data set 1 classes"):
+        list(train(Job(cfg, wrong, tmp_path, settings())))
+
+
+def test_darknets_rate_burns_in_with_the_fourth_power_and_falls_in_steps() -> None:
+    cfg, sgd = read_cfg(SMALL), settings(optimizer="sgd", learning_rate=0.01)
+    rates = {n: learning_rate(n, cfg, sgd) for n in (1, 5, 10, 100, 101, 151)}
+    expected = {1: 1e-6, 5: 0.01 / 16, 10: 0.01, 100: 0.01, 101: 0.001, 151: 0.0005}
+    assert rates == pytest.approx(expected)
+
+
+def test_every_picture_is_used_once_before_any_is_used_again() -> None:
+    batches = list(Batches(n=12, batch=4, start=0, stop=6, seed=1, random=(0.5, 2)))
+    indices = [item[0] for batch in batches for item in batch]
+    assert sorted(indices[:12]) == sorted(indices[12:]) == list(range(12))
+    assert indices[:12] != indices[12:]
+    later = list(Batches(n=12, batch=4, start=4, stop=6, seed=1, random=(0.5, 2)))
+    assert later == batches[4:]
+    factors = {batch[0][2] for batch in batches}
+    assert len(factors) == 6
+    assert all(0.5 <= factor <= 2 for factor in factors)
+
+
+@pytest.mark.parametrize("window", [(416, 224), (832, 416)])
+def test_augmented_boxes_stay_on_their_droplets(window: tuple[int, int]) -> None:
+    """Draw squares, change the picture at random, and find them again where the boxes say."""
+    rng = np.random.default_rng(7)
+    image = np.zeros((600, 1200, 3), np.uint8)
+    boxes = np.array([[200, 100, 80, 60], [640, 320, 60, 60], [1000, 480, 100, 40.0]])
+    for x, y, w, h in boxes.astype(int):
+        image[y - h // 2 : y + h // 2, x - w // 2 : x + w // 2] = 255
+    how = Augmentation((832, 416), window, 0.2, (1, 1), 1.5, 1.5, 0.1, flip=True)
+    seen = 0
+    for _ in range(30):
+        picture, truths = augment(
+            rng, image, np.zeros(3, np.int64), boxes / [1200, 600, 1200, 600], how, 1.0
+        )
+        mask = (picture[..., 0] > picture.max() / 2).astype(np.uint8)
+        _, _, stats, _ = cv2.connectedComponentsWithStats(mask)
+        found = stats[1:, :4].astype(float)
+        found[:, :2] += found[:, 2:] / 2
+        wanted = truths[:, 1:] * [window[0], window[1], window[0], window[1]]
+        for box in wanted:
+            assert np.abs(found - box).max(axis=1).min() < 1.5
+        seen += len(wanted)
+    assert seen > 30

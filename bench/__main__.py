@@ -18,7 +18,7 @@ from rich.table import Table
 from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
 from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes.arrangements import SCENES
-from droptrack.command_line import new_app, progress_bar
+from droptrack.command_line import new_app
 from droptrack.data.detections import Detections, labels
 from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.data.video import Video
@@ -28,10 +28,11 @@ from droptrack.detection.engine_choice import Network, choose_detector
 from droptrack.evaluation.average_precision import average_precision
 from droptrack.evaluation.validation import darknet_detector
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
 from droptrack.pipeline.run import FURTHER_COLUMNS, Results
 from droptrack.pipeline.threads import side_by_side
+from droptrack.progress import progress_bar
 from droptrack.tracking.appearance import describe_nothing
 from droptrack.tracking.choice import TrackerName, make_tracker
 from droptrack.tracking.deepsort import Parameters
@@ -69,8 +70,8 @@ def stages(frames: int = 600) -> None:
     with tempfile.TemporaryDirectory() as name, side_by_side(1):
         folder = Path(name)
         write_video(folder / "video.avi", frames + 1)
-        cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-        detector = choose_detector(Network(cfg, SHIPPED_WEIGHTS, SCORE, MAX_IOU))
+        cfg = read_cfg(find_cfg(BUNDLED_WEIGHTS))
+        detector = choose_detector(Network(cfg, BUNDLED_WEIGHTS, SCORE, MAX_IOU))
         engine = detector.engine
         tracker, _ = make_tracker(TrackerName.droplet, Parameters())
         recorder = Recorder(tracker.delay + tracker.max_age)
@@ -128,7 +129,7 @@ def _counted(
 @app.command()
 def accuracy(images: int = 1000, seed: int = 2026) -> None:
     """MAP@0.50 of the network that ships on fresh pictures of each scene (Darknet's definition)."""
-    detector = darknet_detector(read_cfg(find_cfg(SHIPPED_WEIGHTS)), SHIPPED_WEIGHTS)
+    detector = darknet_detector(read_cfg(find_cfg(BUNDLED_WEIGHTS)), BUNDLED_WEIGHTS)
     table = Table("scene", "mAP@0.50", "precision", "recall", "droplets", title="scores above 0.25")
     for scene in SCENES:
         with progress_bar("images") as progress:

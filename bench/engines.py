@@ -41,7 +41,7 @@ from droptrack.detection.engines.opencv_dnn import OpenCvEngine
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import average_precision
 from droptrack.evaluation.validation import darknet_detector
-from droptrack.network.bundled import SHIPPED, SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg, parse_size
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, resized
 from droptrack.network.darknet_weights import read_weights, write_weights
 from droptrack.network.pruning import NOTHING, pruned
@@ -200,7 +200,7 @@ def random_full(folder: Path) -> tuple[Cfg, Path]:
     """The full YOLOv3 with weights by chance, calibrated for speed only, at 416 x 224."""
     from droptrack.detection.engines.openvino import output_ranges
 
-    cfg = resized(read_cfg(SHIPPED / "yolov3.cfg"), 416, 224)
+    cfg = resized(read_cfg(BUNDLED / "yolov3.cfg"), 416, 224)
     weights = random_weights(cfg, np.random.default_rng(0))
     path = folder / "yolov3.weights"
     write_weights(path, weights)
@@ -227,10 +227,10 @@ def speed(
         folder = Path(name)
         video = folder / "video.avi"
         write_video(video, frames)
-        cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+        cfg = read_cfg(find_cfg(BUNDLED_WEIGHTS))
         if size is not None:
             cfg = resized(cfg, *parse_size(size))
-        cases = cases_of("tiny", cfg, SHIPPED_WEIGHTS, frames)
+        cases = cases_of("tiny", cfg, BUNDLED_WEIGHTS, frames)
         measure(cases, video, turns, folder, batch)
         if full_frames:
             cases = cases_of("full", *random_full(folder), full_frames)
@@ -255,15 +255,15 @@ def network(
     In turns, the plain loop's network first; int8 at the sizes for which it is calibrated.
     """
     with tempfile.TemporaryDirectory() as name:
-        shipped = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+        shipped = read_cfg(find_cfg(BUNDLED_WEIGHTS))
         small = cfg_416(shipped, Path(name))
         engines: dict[str, Engine] = {
             "416x416 opencv fp32, plain loop": OpenCvEngine(
-                small, read_weights(SHIPPED_WEIGHTS, small), "opencv", "fp32", SCORE
+                small, read_weights(BUNDLED_WEIGHTS, small), "opencv", "fp32", SCORE
             )
         }
         networks = [
-            (resized(shipped, *parse_size(size)), SHIPPED_WEIGHTS) for size in sizes.split(",")
+            (resized(shipped, *parse_size(size)), BUNDLED_WEIGHTS) for size in sizes.split(",")
         ]
         for cfg, weights in [*networks, random_full(Path(name))]:
             calibration = find_calibration(weights, cfg)
@@ -312,11 +312,11 @@ def accuracy(
     """MAP@0.50 of the network that ships by input size, precision and scene."""
     table = Table("input", "precision", *(f"scene {scene}" for scene in scenes))
     for size in sizes.split(","):
-        cfg = resized(read_cfg(find_cfg(SHIPPED_WEIGHTS)), *parse_size(size))
+        cfg = resized(read_cfg(find_cfg(BUNDLED_WEIGHTS)), *parse_size(size))
         for precision in ("fp32", "bf16", "int8"):
             try:
                 engine = darknet_detector(
-                    cfg, SHIPPED_WEIGHTS, backend=Backend.openvino, precision=Precision(precision)
+                    cfg, BUNDLED_WEIGHTS, backend=Backend.openvino, precision=Precision(precision)
                 )
             except DroptrackError as error:
                 console.print(f"left out: {error}")
@@ -365,8 +365,8 @@ def follow_again(video: Path, frames: int) -> None:
                 yield number, frame
                 number += 1
 
-    cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    found = choose_detector(Network(cfg, SHIPPED_WEIGHTS, SCORE, MAX_IOU))
+    cfg = read_cfg(find_cfg(BUNDLED_WEIGHTS))
+    found = choose_detector(Network(cfg, BUNDLED_WEIGHTS, SCORE, MAX_IOU))
     start = time.perf_counter()
     results = track(islice(endless(), frames), found, video.with_suffix(".csv"))
     seconds = time.perf_counter() - start

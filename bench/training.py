@@ -19,7 +19,7 @@ from rich.table import Table
 from data_gen.make_dataset import Recipe, make_dataset
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file
-from droptrack.network.bundled import SHIPPED
+from droptrack.network.bundled import BUNDLED
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
 from droptrack.training.darknet.binary import DarknetSettings, find_darknet, identify
 from droptrack.training.darknet.training import DarknetTraining
@@ -45,7 +45,7 @@ def memory_mb() -> float:
 @app.command()
 @one_line_errors
 def main(
-    cfg: Annotated[Path, typer.Option()] = SHIPPED / "yolov3-tiny.cfg",
+    cfg: Annotated[Path, typer.Option()] = BUNDLED / "yolov3-tiny.cfg",
     batch: Annotated[int, typer.Option(min=2)] = 16,
     iterations: Annotated[int, typer.Option(min=WARM_UP + 1)] = 12,
     workers: Annotated[int, typer.Option(min=0)] = 1,

@@ -16,11 +16,12 @@ import typer
 from numpy.typing import NDArray
 
 from data_gen.scenes.arrangements import HEIGHT, SCENES, WIDTH
-from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.degradation import photographed
 from droptrack.data.files import write_text
 from droptrack.errors import DroptrackError
+from droptrack.progress import progress_bar
 
 JPEG_QUALITY = 95
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
 from droptrack.data.degradation import photographed
 from droptrack.data.detections import Detections
@@ -15,7 +15,7 @@ from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector, Engine
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import LEAST_SCORE, MAX_IOU, Pair, average_precision
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg, parse_size
 from droptrack.network.darknet_cfg import Cfg, read_cfg, resized
 from droptrack.network.darknet_weights import Weights, read_weights
 from droptrack.network.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
@@ -27,6 +27,7 @@ from droptrack.network.quantisation import (
     sha256_of,
     write_calibration,
 )
+from droptrack.progress import progress_bar
 
 PRUNING_ERROR = 2e-4  # docs/performance.md
 MAX_LOSSES = (MAX_LOSS, 0.01)  # of mAP, as drawn and as a bad camera shows it, else:
@@ -66,7 +67,7 @@ def main(
         from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
     except ImportError:
         raise DroptrackError("calibrating needs: pip install 'droptrack[openvino]'") from None
-    weights = weights or SHIPPED_WEIGHTS
+    weights = weights or BUNDLED_WEIGHTS
     network = read_cfg(cfg or find_cfg(weights))
     if size is not None:
         network = resized(network, *parse_size(size))

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import DataSet, read_data_file, read_scenes
 from droptrack.data.report import Report, Value
 from droptrack.data.trajectories import Trajectories, read_trajectories
@@ -20,8 +20,9 @@ from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import LEAST_SCORE, MAX_IOU
 from droptrack.evaluation.trajectory_scores import DropletScore, match, score_droplets
 from droptrack.evaluation.validation import darknet_detector, detect_images, network_report
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import Cfg, read_cfg
+from droptrack.progress import progress_bar
 
 MSE_NAMES = [field.name for field in fields(DropletScore) if field.name.startswith("mse")]
 
@@ -135,7 +136,7 @@ def main(
     Darknet computes it, precision, recall, F1 and mean overlap above a score of 0.25, COCO's AP.
     """
     if data is not None and truth is None:
-        weights = weights or SHIPPED_WEIGHTS
+        weights = weights or BUNDLED_WEIGHTS
         network, pictures = read_cfg(cfg or find_cfg(weights)), read_data_file(data)
         detector = darknet_detector(
             network, weights, backend=backend, precision=precision, dark=dark

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg, parse_size
 from droptrack.network.darknet_cfg import read_cfg, resized
 from droptrack.network.darknet_weights import read_weights
 
@@ -35,7 +35,7 @@ def main(
     """Write a network as an ONNX model, which nearly every inference engine reads."""
     from droptrack.network.onnx_export import onnx_model, write_onnx
 
-    weights = weights or SHIPPED_WEIGHTS
+    weights = weights or BUNDLED_WEIGHTS
     network = read_cfg(cfg or find_cfg(weights))
     if size is not None:
         network = resized(network, *parse_size(size))

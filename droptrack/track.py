@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.command_line import new_app, one_line_errors
 from droptrack.compiled import explained
 from droptrack.data.report import Value
 from droptrack.data.stage_times import StageTimes
@@ -18,12 +18,13 @@ from droptrack.detection import decoding
 from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
 from droptrack.errors import DroptrackError
 from droptrack.measurement import centre_of_mass
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg, parse_size
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg, parse_size
 from droptrack.network.darknet_cfg import read_cfg, resized
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.from_detections import track_detections
 from droptrack.pipeline.run import FURTHER_COLUMNS, Results, finish, follow
 from droptrack.pipeline.threads import AnnotatedVideo
+from droptrack.progress import progress_bar
 from droptrack.tracking.choice import TrackerName, choose_appearance, make_tracker
 from droptrack.tracking.deepsort import Parameters
 from droptrack.version import __version__
@@ -113,7 +114,7 @@ def main(
         return
     if video is None or descriptors is not None:
         raise DroptrackError("name a video, or a file with --detections (and --descriptors)")
-    weights = weights or SHIPPED_WEIGHTS
+    weights = weights or BUNDLED_WEIGHTS
     describe = choose_appearance(tracker, appearance, appearance_weights, appearance_size)
     network = read_cfg(cfg or find_cfg(weights))
     if size is not None:

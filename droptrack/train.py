@@ -14,12 +14,13 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from droptrack.command_line import new_app, one_line_errors, progress_bar
+from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.validation import mean_ap
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
 from droptrack.network.darknet_weights import read_weights
+from droptrack.progress import progress_bar
 from droptrack.training.checks import (
     check_for_darknet,
     check_for_torch,

@@ -21,12 +21,12 @@ import cv2
 import numpy as np
 
 from data_gen.lattice_boltzmann.camera import Camera, photograph
-from droptrack.command_line import progress_bar
 from droptrack.data.arrays import Floats
 from droptrack.data.files import replacing
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter, sorted_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.errors import DroptrackError
+from droptrack.progress import progress_bar
 from droptrack.version import __version__
 
 CHECK_STEPS = 50  # between looks for instability

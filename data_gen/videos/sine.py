@@ -10,11 +10,11 @@ import numpy as np
 import typer
 
 from data_gen.scenes.shapes import WHITE, draw_ellipses
-from droptrack.command_line import progress_bar
 from droptrack.data.arrays import Floats
 from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.errors import DroptrackError
+from droptrack.progress import progress_bar
 from droptrack.version import __version__
 
 GAP_PX = 4.0  # between droplets, and to the upper and lower edge

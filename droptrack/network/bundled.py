@@ -1,12 +1,13 @@
-"""Which network to use: weights given or shipped, and the ``.cfg`` that belongs to them."""
+"""Which network to use: the weights given or the bundled ones, and the ``.cfg`` they belong to."""
 
 import re
 from pathlib import Path
 
 from droptrack.errors import DroptrackError
+from droptrack.network.darknet_cfg import Cfg, read_cfg, resized
 
-SHIPPED = Path(__file__).parents[2] / "darknet_cfg"
-SHIPPED_WEIGHTS = SHIPPED / "yolov3-tiny-droplets.weights"
+BUNDLED = Path(__file__).parents[2] / "darknet_cfg"
+BUNDLED_WEIGHTS = BUNDLED / "yolov3-tiny-droplets.weights"
 
 # what Darknet adds to the cfg's stem when it saves weights
 SUFFIX = re.compile(r"_(final|last|best|\d+)$")
@@ -26,7 +27,7 @@ def find_cfg(weights: Path) -> Path:
     Sought beside the weights, in the current folder, in its ``darknet_cfg``, then among those that
     come with droptrack. Raises DroptrackError when there is none.
     """
-    folders = (weights.parent, Path(), Path("darknet_cfg"), SHIPPED)
+    folders = (weights.parent, Path(), Path("darknet_cfg"), BUNDLED)
     for stem in (weights.stem, SUFFIX.sub("", weights.stem)):
         for folder in folders:
             if (cfg := folder / f"{stem}.cfg").is_file():
@@ -34,3 +35,17 @@ def find_cfg(weights: Path) -> Path:
     raise DroptrackError(
         f"{weights}: found no {SUFFIX.sub('', weights.stem)}.cfg that belongs to it; name it: --cfg"
     )
+
+
+def find_network(
+    weights: Path | None = None, cfg: Path | None = None, size: str | None = None
+) -> tuple[Cfg, Path]:
+    """The network to use, and its weights: the bundled ones unless others are given.
+
+    `cfg`: their description; without, the one of their name (`find_cfg`). `size`: the network's
+    input as ``960x480``, instead of the cfg's. Raises DroptrackError for what is not there or
+    cannot be understood.
+    """
+    weights = weights or BUNDLED_WEIGHTS
+    network = read_cfg(cfg or find_cfg(weights))
+    return (network if size is None else resized(network, *parse_size(size))), weights

@@ -18,11 +18,11 @@ from droptrack.detection.engine_choice import Backend, Network, Precision, choos
 from droptrack.detection.engines.opencv_dnn import has_cuda
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import average_precision
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg, resized
 from droptrack.network.darknet_weights import read_weights
 
-CFG = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+CFG = read_cfg(find_cfg(BUNDLED_WEIGHTS))
 
 
 def installed(*packages: str) -> bool:
@@ -61,7 +61,7 @@ ROUNDED = [
 
 
 def detector(backend: str, precision: str = "fp32", threshold: float = 0.25) -> Detector:
-    network = Network(CFG, SHIPPED_WEIGHTS, threshold, 0.45)
+    network = Network(CFG, BUNDLED_WEIGHTS, threshold, 0.45)
     return choose_detector(network, Backend(backend), Precision(precision))
 
 
@@ -132,7 +132,7 @@ def test_onnx_runtime_finds_what_opencv_finds() -> None:
 
     opencv = detector("opencv")
     frame = grey_frame(SCENES["c"](np.random.default_rng([3, 2])).image)
-    model = onnx_model(CFG, read_weights(SHIPPED_WEIGHTS, CFG), decode=True)
+    model = onnx_model(CFG, read_weights(BUNDLED_WEIGHTS, CFG), decode=True)
     session = runtime.InferenceSession(model.SerializeToString())
     (rows,) = session.run(None, {"images": opencv.engine.prepare([frame])})
     assert_same(select(rows[0], 1200, 600, 0.25, 0.45), opencv.detect([frame])[0])
@@ -146,7 +146,7 @@ def test_all_of_the_network_goes_to_the_device(precision: str) -> None:
 
     from droptrack.detection.engines.pytorch import DTYPES, FramesToRows
 
-    network = FramesToRows(CFG, read_weights(SHIPPED_WEIGHTS, CFG), DTYPES[precision]).to("meta")
+    network = FramesToRows(CFG, read_weights(BUNDLED_WEIGHTS, CFG), DTYPES[precision]).to("meta")
     cells = sum((CFG.width // stride) * (CFG.height // stride) for stride in (16, 32))
     for channels in (1, 3):
         frames = torch.empty((2, 600, 1200, channels), dtype=torch.uint8, device="meta")
@@ -181,7 +181,7 @@ def test_resizing_on_the_device_is_that_of_opencv() -> None:
     from droptrack.detection.engines.pytorch import FramesToRows, TorchEngine
 
     cfg = resized(CFG, 416, 224)
-    weights = read_weights(SHIPPED_WEIGHTS, cfg)
+    weights = read_weights(BUNDLED_WEIGHTS, cfg)
     frame = coloured(grey_frame(SCENES["a"](np.random.default_rng([3, 3])).image))
     engine = TorchEngine(cfg, weights, "fp32", 0.25)
     expected = Detector(engine, 0.25, 0.45).detect([frame])[0]
@@ -202,7 +202,7 @@ def test_an_engine_that_fails_is_passed_over_by_auto_and_named(
     monkeypatch.setattr(
         "droptrack.detection.engine_choice._installed", lambda package: package != "torch"
     )
-    network = Network(resized(CFG, 96, 64), SHIPPED_WEIGHTS, 0.25, 0.45)
+    network = Network(resized(CFG, 96, 64), BUNDLED_WEIGHTS, 0.25, 0.45)
     said: list[str] = []
     chosen = choose_detector(network, say=said.append)
     assert chosen.engine.name == "opencv fp32"
@@ -229,9 +229,9 @@ def test_auto_takes_int8_where_it_is_calibrated_else_bf16(
     monkeypatch.setattr(
         "droptrack.detection.engines.openvino.computes_faster_in", faster.__contains__
     )
-    network = Network(CFG, SHIPPED_WEIGHTS, 0.25, 0.45)
+    network = Network(CFG, BUNDLED_WEIGHTS, 0.25, 0.45)
     assert choose_detector(network).engine.name == f"openvino {calibrated}, pruned"
-    network = Network(resized(CFG, 96, 64), SHIPPED_WEIGHTS, 0.25, 0.45)
+    network = Network(resized(CFG, 96, 64), BUNDLED_WEIGHTS, 0.25, 0.45)
     assert choose_detector(network).engine.name == f"openvino {other}"
     with pytest.raises(DroptrackError, match=r"calibrate --weights .* --size 96x64"):
         choose_detector(network, Backend.openvino, Precision.int8)

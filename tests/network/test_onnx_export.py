@@ -16,7 +16,7 @@ from bench.random_network import random_weights
 from droptrack.__main__ import app
 from droptrack.detection.decoding import decode_head
 from droptrack.errors import DroptrackError
-from droptrack.network.bundled import SHIPPED
+from droptrack.network.bundled import BUNDLED
 from droptrack.network.darknet_cfg import (
     Cfg,
     cfg_text,
@@ -105,8 +105,8 @@ LIKE_YOLOV3_TINY_3L = (
 )
 
 CFGS = {
-    "yolov3": read_cfg(SHIPPED / "yolov3.cfg"),
-    "yolov3-tiny": read_cfg(SHIPPED / "yolov3-tiny.cfg"),
+    "yolov3": read_cfg(BUNDLED / "yolov3.cfg"),
+    "yolov3-tiny": read_cfg(BUNDLED / "yolov3-tiny.cfg"),
     "like yolov3-tiny_3l": parse_cfg(LIKE_YOLOV3_TINY_3L, Path("3l.cfg")),
     "like yolov4-tiny": parse_cfg(LIKE_YOLOV4_TINY, Path("4.cfg")),
 }

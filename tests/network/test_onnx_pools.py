@@ -9,13 +9,13 @@ pytest.importorskip("onnx")
 from bench.random_network import random_weights
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.detection.engines.openvino import OpenVinoEngine, core, output_ranges
-from droptrack.network.bundled import SHIPPED
+from droptrack.network.bundled import BUNDLED
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg, resized
 from droptrack.network.onnx_export import onnx_model
 from droptrack.network.onnx_pools import pooled_layers
 from droptrack.network.quantisation import joined, quantised_layers
 
-TINY = resized(read_cfg(SHIPPED / "yolov3-tiny.cfg"), 160, 96)
+TINY = resized(read_cfg(BUNDLED / "yolov3-tiny.cfg"), 160, 96)
 
 
 def pictures(colour: bool) -> list[Frame]:
@@ -28,7 +28,7 @@ def pictures(colour: bool) -> list[Frame]:
 def test_which_layers_are_pooled_early() -> None:
     """By hand: tiny's first two convolutions have 16 and 32 channels; YOLOv3 has no pools."""
     assert pooled_layers(TINY) == {0, 2}
-    assert pooled_layers(read_cfg(SHIPPED / "yolov3.cfg")) == set()
+    assert pooled_layers(read_cfg(BUNDLED / "yolov3.cfg")) == set()
 
 
 def test_layers_that_others_read_keep_their_pool() -> None:
@@ -37,7 +37,7 @@ def test_layers_that_others_read_keep_their_pool() -> None:
     first = "[convolutional]\nfilters=16\nsize=3\npad=1\nactivation=leaky\n"
     pool = "[maxpool]\nsize=2\nstride=2\n"
     net = "[net]\nwidth=64\nheight=64\nchannels=3\n"
-    cfg = parse_cfg(f"{net}{first}{pool}{head}[route]\nlayers=0\n{first}{head}", SHIPPED / "x.cfg")
+    cfg = parse_cfg(f"{net}{first}{pool}{head}[route]\nlayers=0\n{first}{head}", BUNDLED / "x.cfg")
     assert pooled_layers(cfg) == set()
 
 

@@ -9,7 +9,7 @@ import pytest
 from bench.random_network import random_weights
 from droptrack.data.frames import Frame
 from droptrack.detection.engines.opencv_dnn import OpenCvEngine
-from droptrack.network.bundled import SHIPPED
+from droptrack.network.bundled import BUNDLED
 from droptrack.network.darknet_cfg import Cfg, parse_cfg, read_cfg
 from droptrack.network.darknet_weights import Weights, layer_values
 from droptrack.network.pruning import (
@@ -75,10 +75,10 @@ def some_frames(n: int) -> list[Frame]:
 
 def test_what_only_convolutions_read_can_be_pruned() -> None:
     """By hand: in tiny all but the heads; in YOLOv3 what no [shortcut] adds."""
-    tiny = read_cfg(SHIPPED / "yolov3-tiny-droplets.cfg")
+    tiny = read_cfg(BUNDLED / "yolov3-tiny-droplets.cfg")
     assert prunable_layers(tiny) == [0, 2, 4, 6, 8, 10, 12, 13, 14, 18, 21]
     assert readers(tiny)[21] == [18, 8]
-    full = read_cfg(SHIPPED / "yolov3.cfg")
+    full = read_cfg(BUNDLED / "yolov3.cfg")
     in_blocks = [2, 6, 9, *range(13, 37, 3), *range(38, 62, 3), *range(63, 75, 3)]
     heads = [*range(75, 81), 84, *range(87, 93), 96, *range(99, 105)]
     assert prunable_layers(full) == [0, *in_blocks, *heads]

@@ -14,7 +14,7 @@ from droptrack.__main__ import app
 from droptrack.detection.engine_choice import Network, Precision, choose_detector
 from droptrack.errors import DroptrackError
 from droptrack.network import quantisation
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg, resized
 from droptrack.network.pruning import NOTHING
 from droptrack.network.quantisation import (
@@ -26,7 +26,7 @@ from droptrack.network.quantisation import (
     write_calibration,
 )
 
-CFG = read_cfg(find_cfg(SHIPPED_WEIGHTS))
+CFG = read_cfg(find_cfg(BUNDLED_WEIGHTS))
 needs_openvino = pytest.mark.skipif(
     not all(importlib.util.find_spec(package) for package in ("openvino", "onnx")),
     reason="needs the extra [openvino]",
@@ -154,7 +154,7 @@ def test_the_command_calibrates_on_a_data_set(tmp_path: Path, error: str, pruned
     for _ in make_dataset(data, Recipe("b", 12, 12, 1), workers=1):
         pass
     weights = tmp_path / "mine.weights"
-    shutil.copy(SHIPPED_WEIGHTS, weights)
+    shutil.copy(BUNDLED_WEIGHTS, weights)
     arguments = ["calibrate", "--weights", str(weights), "--cfg", str(CFG.path)]
     arguments += ["--data", str(data / "obj.data"), "--size", "480x256", "--prune", error]
     result = CliRunner().invoke(app, arguments)

@@ -23,7 +23,7 @@ from droptrack.errors import DroptrackError
 from droptrack.evaluate import evaluate
 from droptrack.evaluation.average_precision import average_precision
 from droptrack.measurement.centre_of_mass import centres_of_mass
-from droptrack.network.bundled import SHIPPED, SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
 from droptrack.pipeline import run as pipeline
 
@@ -92,8 +92,8 @@ def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
 
 
 def shipped(threshold: float) -> Detector:
-    cfg = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    return choose_detector(Network(cfg, SHIPPED_WEIGHTS, threshold, 0.45, greedy=True))
+    cfg = read_cfg(find_cfg(BUNDLED_WEIGHTS))
+    return choose_detector(Network(cfg, BUNDLED_WEIGHTS, threshold, 0.45, greedy=True))
 
 
 def test_a_batch_of_frames_gives_what_single_frames_give(sine: Path) -> None:
@@ -108,8 +108,8 @@ def test_a_batch_of_frames_gives_what_single_frames_give(sine: Path) -> None:
 def test_weights_find_their_cfg_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("yolov3", "yolov3_final", "yolov3_best", "yolov3_12000"):
-        assert find_cfg(Path(f"{name}.weights")) == SHIPPED / "yolov3.cfg"
-    assert find_cfg(Path("yolov3-tiny_last.weights")) == SHIPPED / "yolov3-tiny.cfg"
+        assert find_cfg(Path(f"{name}.weights")) == BUNDLED / "yolov3.cfg"
+    assert find_cfg(Path("yolov3-tiny_last.weights")) == BUNDLED / "yolov3-tiny.cfg"
     (tmp_path / "mine.cfg").touch()
     assert find_cfg(tmp_path / "mine_final.weights") == tmp_path / "mine.cfg"
     with pytest.raises(DroptrackError, match=r"no other\.cfg .* --cfg"):
@@ -180,10 +180,10 @@ def fails(*arguments: str) -> str:
 def test_what_the_user_can_mend_is_said_in_one_line(sine: Path, tmp_path: Path) -> None:
     video, out = str(sine / "video.avi"), str(tmp_path / "out")
     cut = tmp_path / "yolov3-tiny.weights"
-    cut.write_bytes(SHIPPED_WEIGHTS.read_bytes()[:1000])
+    cut.write_bytes(BUNDLED_WEIGHTS.read_bytes()[:1000])
     assert "ends after 245 of" in fails("track", video, "--weights", str(cut), "--out", out)
     assert "no such weights" in fails("track", video, "--weights", "yolov3.weights", "--out", out)
-    full = str(SHIPPED / "yolov3.cfg")
+    full = str(BUNDLED / "yolov3.cfg")
     assert "does not fit" in fails("track", video, "--cfg", full, "--out", out)
     assert "no such video" in fails("track", str(tmp_path / "none.avi"), "--out", out)
     if not has_cuda():

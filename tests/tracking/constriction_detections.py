@@ -19,7 +19,7 @@ from droptrack.data.trajectories import Trajectories, read_trajectories, sorted_
 from droptrack.data.video import Video
 from droptrack.detection.engine_choice import Backend, Network, choose_detector
 from droptrack.measurement.centre_of_mass import centres_of_mass
-from droptrack.network.bundled import SHIPPED_WEIGHTS, find_cfg
+from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
 
 REFERENCE = Path(__file__).parents[1] / "reference" / "constriction_detections.npz"
@@ -32,8 +32,8 @@ def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
 
     Lengths are in STEP_PX.
     """
-    network = read_cfg(find_cfg(SHIPPED_WEIGHTS))
-    detector = choose_detector(Network(network, SHIPPED_WEIGHTS, 0.4, 0.3), Backend.opencv)
+    network = read_cfg(find_cfg(BUNDLED_WEIGHTS))
+    detector = choose_detector(Network(network, BUNDLED_WEIGHTS, 0.4, 0.3), Backend.opencv)
     found = []
     for number, frame in enumerate(Video(str(folder / "video.avi"))):
         boxes = detector.detect([frame])[0].boxes

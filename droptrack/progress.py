@@ -1,0 +1,38 @@
+"""Progress bars."""
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+
+class _Note(ProgressColumn):
+    """What a task has to say, if anything."""
+
+    def render(self, task: Task) -> Text:
+        return Text(task.fields.get("note", ""))
+
+
+def progress_bar(unit: str) -> Progress:
+    """A progress bar with counts and time left: on stderr, or in a notebook; else silent."""
+    console = Console(stderr=True)
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        _Note(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not (console.is_terminal or console.is_jupyter),
+        transient=True,
+    )

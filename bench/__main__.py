@@ -30,12 +30,11 @@ from droptrack.evaluation.validation import darknet_detector
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
 from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
-from droptrack.pipeline.run import FURTHER_COLUMNS, Results
+from droptrack.pipeline.results import FURTHER_COLUMNS, Results
 from droptrack.pipeline.threads import side_by_side
 from droptrack.progress import progress_bar
 from droptrack.tracking.appearance import describe_nothing
-from droptrack.tracking.choice import TrackerName, make_tracker
-from droptrack.tracking.deepsort import Parameters
+from droptrack.tracking.choice import TrackerConfig, make_tracker
 from droptrack.tracking.recorder import Recorder
 
 app = new_app()
@@ -73,7 +72,7 @@ def stages(frames: int = 600) -> None:
         cfg = read_cfg(find_cfg(BUNDLED_WEIGHTS))
         detector = choose_detector(Network(cfg, BUNDLED_WEIGHTS, SCORE, MAX_IOU))
         engine = detector.engine
-        tracker, _ = make_tracker(TrackerName.droplet, Parameters())
+        tracker, _ = make_tracker(TrackerConfig())
         recorder = Recorder(tracker.delay + tracker.max_age)
         source = Video(str(folder / "video.avi")).numbered()
         # the first of each is slower

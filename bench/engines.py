@@ -53,10 +53,10 @@ from droptrack.network.quantisation import (
     sha256_of,
     write_calibration,
 )
-from droptrack.pipeline.run import FURTHER_COLUMNS, Results, follow
+from droptrack.pipeline.loop import track_frames
+from droptrack.pipeline.results import FURTHER_COLUMNS, Results
 from droptrack.tracking.appearance import describe_nothing
-from droptrack.tracking.choice import TrackerName, make_tracker
-from droptrack.tracking.deepsort import Parameters
+from droptrack.tracking.choice import TrackerConfig, make_tracker
 
 SIZE = (1200, 600)
 DROPLETS = 50
@@ -105,10 +105,10 @@ def track(
     frames: Iterator[tuple[int, Frame]], detector: Detector, out: Path, batch: int = 1
 ) -> Results:
     """Follow the droplets of frames."""
-    tracker, _ = make_tracker(TrackerName.droplet, Parameters())
+    tracker, _ = make_tracker(TrackerConfig())
     with TrajectoryWriter(out, {}, FURTHER_COLUMNS) as rows:
         results = Results(rows)
-        for _ in follow(frames, detector, tracker, describe_nothing, results, batch=batch):
+        for _ in track_frames(frames, detector, tracker, describe_nothing, results, batch=batch):
             pass
     return results
 

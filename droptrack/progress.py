@@ -21,8 +21,11 @@ class _Note(ProgressColumn):
         return Text(task.fields.get("note", ""))
 
 
-def progress_bar(unit: str) -> Progress:
-    """A progress bar with counts and time left: on stderr, or in a notebook; else silent."""
+def progress_bar(unit: str, *, shown: bool = True) -> Progress:
+    """A progress bar with counts and time left, on a terminal's stderr or in a notebook.
+
+    Silent elsewhere, and where it is not to be `shown`.
+    """
     console = Console(stderr=True)
     return Progress(
         TextColumn("{task.description}"),
@@ -33,6 +36,6 @@ def progress_bar(unit: str) -> Progress:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
-        disable=not (console.is_terminal or console.is_jupyter),
+        disable=not (shown and (console.is_terminal or console.is_jupyter)),
         transient=True,
     )

@@ -79,7 +79,7 @@ def choose_detector(
     precision: Precision = Precision.auto,
     *,
     live: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], object] = lambda _: None,
 ) -> Detector:
     """A detector on the engine and with the precision wanted.
 

@@ -25,7 +25,7 @@ from droptrack.evaluation.average_precision import average_precision
 from droptrack.measurement.centre_of_mass import centres_of_mass
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
-from droptrack.pipeline import run as pipeline
+from droptrack.pipeline import loop as pipeline
 
 runner = CliRunner()
 

@@ -26,6 +26,9 @@ from droptrack.version import __version__
 Range = tuple[float, float]
 
 OPSET = 13  # the first with a scale for each channel in DequantizeLinear
+# the largest step of a quantised kernel. A CPU without VNNI adds two products of bytes in 16 bits,
+# which overflow beyond 2 * 255 * 64
+KERNEL_MAX, UNSATURATED_MAX = 127, 64
 IR_VERSION = 8
 BATCH_NORM_EPSILON = 1e-5  # as in Darknet's forks and OpenCV
 
@@ -63,6 +66,7 @@ def onnx_model(
     ranges: Mapping[int, Range] | None = None,
     taps: Sequence[int] = (),
     pool_bytes: bool = False,
+    kernel_max: int = KERNEL_MAX,
 ) -> onnx.ModelProto:
     """The network as an ONNX model for any batch B of pictures of the cfg's size.
 
@@ -75,8 +79,9 @@ def onnx_model(
     `ranges`: the least and largest value of layers' outputs by index; with them, these layers and
     all kernels are quantised to 8 bits (QuantizeLinear, DequantizeLinear). `taps`: layers whose
     outputs are put out too, as `layer_0` and so on. `pool_bytes`: with `ranges`, compute the first
-    pools as `onnx_pools` does, for OpenVINO. Raises DroptrackError for layers that are not
-    supported, with their line.
+    pools as `onnx_pools` does, for OpenVINO. `kernel_max`: with `ranges`, the largest step of a
+    kernel, KERNEL_MAX or UNSATURATED_MAX. Raises DroptrackError for layers that are not supported,
+    with their line.
     """
     graph = Graph()
     kernels = folded_convolutions(cfg, weights)
@@ -87,12 +92,13 @@ def onnx_model(
     heads = {head.layer: head for head in yolo_heads(cfg)}
     names: list[str] = []
     maps: list[str] = []
-    together = pooled_layers(cfg) if ranges is not None and pool_bytes else set()
-    x = _input(graph, pixels=pixels, quantised=ranges is not None)
+    quantised = ranges is not None
+    together = pooled_layers(cfg) if quantised and pool_bytes else set()
+    x = _input(graph, pixels=pixels, quantised=quantised)
     for index, layer in enumerate(cfg.layers):
         if index in together:
             assert ranges is not None
-            both = _byte_convolution(*kernels[index], ranges[index])
+            both = _byte_convolution(*kernels[index], ranges[index], kernel_max)
             if index == 0 and grey and pixels:
                 x = pooled_picture(graph, "images", both, cfg.height, cfg.width)
             else:
@@ -100,7 +106,7 @@ def onnx_model(
         elif index - 1 in together:
             pass
         elif layer.kind == "convolutional":
-            x = _convolution(graph, layer, x, *kernels[index], quantised=ranges is not None)
+            x = _convolution(graph, layer, x, *kernels[index], kernel_max if quantised else None)
             x = _activation(graph, layer, x, default="logistic")
         elif layer.kind == "yolo":
             maps.append(_decoded(graph, heads[index], x, cfg) if decode else x)
@@ -147,13 +153,14 @@ def _input(graph: Graph, *, pixels: bool, quantised: bool) -> str:
 
 
 def _convolution(
-    graph: Graph, layer: Layer, x: str, kernel: Float32s, bias: Float32s, *, quantised: bool
+    graph: Graph, layer: Layer, x: str, kernel: Float32s, bias: Float32s, kernel_max: int | None
 ) -> str:
+    """A convolution, with its kernel in steps up to `kernel_max`, or as it is."""
     size = kernel.shape[2]
     stride = layer.integer("stride", 1)
     padding = size // 2 if layer.integer("pad", 0) else layer.integer("padding", 0)
-    if quantised:
-        steps, scale = _kernel_steps(kernel)
+    if kernel_max is not None:
+        steps, scale = _kernel_steps(kernel, kernel_max)
         zeros = graph.constant(np.zeros(len(scale), np.int8))
         weight = graph.node(
             "DequantizeLinear", graph.constant(steps), graph.constant(scale), zeros, axis=0
@@ -172,14 +179,16 @@ def _convolution(
     )
 
 
-def _kernel_steps(kernel: Float32s) -> tuple[NDArray[np.int8], Float32s]:
-    """A kernel (out, in, h, w) in 8-bit steps, and their scale (out,)."""
-    scale = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), 1e-12) / np.float32(127)
+def _kernel_steps(kernel: Float32s, kernel_max: int) -> tuple[NDArray[np.int8], Float32s]:
+    """A kernel (out, in, h, w) in steps up to `kernel_max`, and their scale (out,)."""
+    scale = np.maximum(np.abs(kernel).max(axis=(1, 2, 3)), 1e-12) / np.float32(kernel_max)
     return np.round(kernel / scale[:, None, None, None]).astype(np.int8), scale
 
 
-def _byte_convolution(kernel: Float32s, bias: Float32s, limits: Range) -> ByteConvolution:
-    return ByteConvolution(*_kernel_steps(kernel), bias, *_byte_steps(limits))
+def _byte_convolution(
+    kernel: Float32s, bias: Float32s, limits: Range, kernel_max: int
+) -> ByteConvolution:
+    return ByteConvolution(*_kernel_steps(kernel, kernel_max), bias, *_byte_steps(limits))
 
 
 def _activation(graph: Graph, layer: Layer, x: str, default: str) -> str:

@@ -125,7 +125,7 @@ def test_weights_with_an_odd_byte_or_nan_or_nothing_are_refused(
     small: Path, tmp_path: Path
 ) -> None:
     cfg, path = read_cfg(small), tmp_path / "bad.weights"
-    with pytest.raises(DroptrackError, match="no such weights file"):
+    with pytest.raises(DroptrackError, match="no such file"):
         read_weights(path, cfg)
     path.write_bytes(b"")
     with pytest.raises(DroptrackError, match="0 bytes are too few"):

@@ -8,7 +8,7 @@ pytest.importorskip("onnx")
 
 from bench.random_network import random_weights
 from droptrack.data.frames import Frame, grey_frame
-from droptrack.detection.engines.openvino import OpenVinoEngine, core, output_ranges
+from droptrack.detection.engines.openvino import OpenVinoEngine, core, kernel_max, output_ranges
 from droptrack.network.bundled import BUNDLED
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg, resized
 from droptrack.network.onnx_export import onnx_model
@@ -46,7 +46,9 @@ def test_the_maps_are_the_same_to_the_last_bit(colour: bool) -> None:
     weights = random_weights(TINY, np.random.default_rng(3))
     frames = pictures(colour)
     ranges = joined(TINY, output_ranges(TINY, weights, quantised_layers(TINY), frames))
-    model = onnx_model(TINY, weights, pixels=True, grey=not colour, ranges=ranges)
+    model = onnx_model(
+        TINY, weights, pixels=True, grey=not colour, ranges=ranges, kernel_max=kernel_max()
+    )
     ordinary = core().compile_model(
         core().read_model(model.SerializeToString()), "CPU", {"INFERENCE_PRECISION_HINT": "f32"}
     )

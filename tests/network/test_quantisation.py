@@ -77,7 +77,7 @@ def test_layers_that_a_route_joins_share_one_range() -> None:
 def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> None:
     """Against ONNX Runtime: the extremes of a layer, and the quantised network's maps."""
     runtime = pytest.importorskip("onnxruntime", reason="needs the extra [dev]")
-    from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
+    from droptrack.detection.engines.openvino import OpenVinoEngine, kernel_max, output_ranges
     from droptrack.network.onnx_export import onnx_model
 
     cfg = parse_cfg(BRANCHES, Path("branches.cfg"))
@@ -91,7 +91,7 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
     exact_map, first, second = session.run(None, {"images": image})
     assert ranges[0] == pytest.approx((first.min(), first.max()), abs=1e-5)
     assert ranges[2] == pytest.approx((second.min(), second.max()), abs=1e-5)
-    quantised = onnx_model(cfg, weights, ranges=joined(cfg, ranges))
+    quantised = onnx_model(cfg, weights, ranges=joined(cfg, ranges), kernel_max=kernel_max())
     session = runtime.InferenceSession(quantised.SerializeToString())
     (theirs,) = session.run(None, {"images": image})
     engine = OpenVinoEngine(cfg, weights, "int8", 0.25, joined(cfg, ranges))
@@ -128,7 +128,7 @@ def test_a_calibration_goes_to_the_cache_where_the_weights_cannot_have_it(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     weights = tmp_path / "mine.weights"
     weights.write_bytes(b"one")
-    (tmp_path / "mine-int8-960x480.npz.partial").mkdir()  # so that it cannot be written
+    (tmp_path / "mine-int8-960x480.partial.npz").mkdir()  # so that it cannot be written
     kept = calibration(weights)
     path = write_calibration(weights, CFG, kept)
     assert path.parent == tmp_path / "cache" / "droptrack"

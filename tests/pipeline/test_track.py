@@ -182,7 +182,7 @@ def test_what_the_user_can_mend_is_said_in_one_line(sine: Path, tmp_path: Path) 
     cut = tmp_path / "yolov3-tiny.weights"
     cut.write_bytes(BUNDLED_WEIGHTS.read_bytes()[:1000])
     assert "ends after 245 of" in fails("track", video, "--weights", str(cut), "--out", out)
-    assert "no such weights" in fails("track", video, "--weights", "yolov3.weights", "--out", out)
+    assert "no such file" in fails("track", video, "--weights", "yolov3.weights", "--out", out)
     full = str(BUNDLED / "yolov3.cfg")
     assert "does not fit" in fails("track", video, "--cfg", full, "--out", out)
     assert "no such video" in fails("track", str(tmp_path / "none.avi"), "--out", out)

@@ -83,7 +83,7 @@ class OpenVinoEngine:
                 grey=channels == 1,
                 ranges=self._ranges,
                 pool_bytes=True,
-                kernel_max=KERNEL_MAX if has_vnni() else UNSATURATED_MAX,
+                kernel_max=kernel_max(),
             )
             network = core().read_model(model.SerializeToString())
             network.reshape([1, channels, *self._size[::-1]])
@@ -144,18 +144,20 @@ def usable_cores() -> int:
 
 
 @functools.cache
-def has_vnni() -> bool:
-    """Whether this CPU adds products of bytes in 32 bits; False where nobody can tell.
+def kernel_max() -> int:
+    """The largest step of a kernel in int8 of which sums do not overflow on this CPU.
 
-    Without these instructions (Intel's before Ice Lake, AMD's before Zen 4) OpenVINO adds two
-    products in 16 bits, and what overflows is cut off without a word.
+    With VNNI instructions a CPU adds products of bytes in 32 bits. Without (Intel's before Ice
+    Lake, AMD's before Zen 4; or where nobody can tell), OpenVINO adds two products in 16 bits, and
+    what overflows is cut off without a word.
     """
     try:
         from llvmlite.binding import get_host_cpu_features
     except ImportError:
-        return False
+        return UNSATURATED_MAX
     features = get_host_cpu_features()
-    return any(features.get(name, False) for name in ("avx512vnni", "avxvnni"))
+    vnni = any(features.get(name, False) for name in ("avx512vnni", "avxvnni"))
+    return KERNEL_MAX if vnni else UNSATURATED_MAX
 
 
 def computes_faster_in(precision: str) -> bool:

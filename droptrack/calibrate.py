@@ -8,7 +8,7 @@ import numpy as np
 import typer
 
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
+from droptrack.data.darknet_dataset import read_data_file, read_ground_truth, read_image
 from droptrack.data.degradation import photographed
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
@@ -144,7 +144,7 @@ def mean_average_precision(
     detector = Detector(engine, LEAST_SCORE, MAX_IOU, greedy=True)
     found: tuple[list[Pair], list[Pair]] = [], []
     for number, frame in enumerate(frames(images, engine.name)):
-        truth = read_truth(images[number // 2], frame.shape[1], frame.shape[0])
+        truth = read_ground_truth(images[number // 2], frame.shape[1], frame.shape[0])
         found[number % 2].append((detector.detect([frame])[0], truth))
 
     def mean(pairs: list[Pair]) -> float:

@@ -1,4 +1,4 @@
-"""Trajectories: the one table of results and of truth, and its CSV file.
+"""Trajectories: the one table of results and of ground truth, and its CSV file.
 
 A file begins with ``# key: value`` lines that say what made it, then has the columns
 ``frame,track_id,x,y,w,h,score,observed`` and possibly more. Frames count from 0, tracks from 1.

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
-from droptrack.data.darknet_dataset import read_image, read_truth
+from droptrack.data.darknet_dataset import read_ground_truth, read_image
 from droptrack.data.report import Report, Value
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
@@ -36,7 +36,7 @@ def detect_images(detector: Detector, images: Sequence[Path]) -> Iterator[Pair]:
     for path in images:
         image = read_image(path)
         height, width = image.shape[:2]
-        yield detector.detect([image])[0], read_truth(path, width, height)
+        yield detector.detect([image])[0], read_ground_truth(path, width, height)
 
 
 def mean_ap(cfg: Cfg, weights: Path, images: Sequence[Path]) -> float:

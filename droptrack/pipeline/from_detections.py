@@ -25,10 +25,10 @@ from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
 
 # rows (M,) of a file, from 0 -> unit descriptors (M, D)
-Looks = Callable[[NDArray[np.int64]], Floats]
+DescriptorsOf = Callable[[NDArray[np.int64]], Floats]
 
 
-def open_descriptors(path: Path, n: int) -> Looks:
+def open_descriptors(path: Path, n: int) -> DescriptorsOf:
     """Unit descriptors of a file's detections, from an .npy file with a row for each of the n.
 
     The file stays where it is: rows are read when they are asked for.
@@ -43,29 +43,32 @@ def open_descriptors(path: Path, n: int) -> Looks:
         if len(bad):
             raise DroptrackError(f"{path}: row {start + int(bad[0]) + 1} has no direction")
 
-    def looks(rows: NDArray[np.int64]) -> Floats:
+    def descriptors_of(rows: NDArray[np.int64]) -> Floats:
         some = np.asarray(table[rows], np.float64)
         return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
 
-    return looks
+    return descriptors_of
 
 
 def track_detections(
     frames: Iterable[tuple[Detections, NDArray[np.int64]]],
-    looks: Looks | None,
+    descriptors_of: DescriptorsOf | None,
     tracker: Tracker,
     results: Results,
 ) -> Iterator[int]:
     """Track frame by frame into `results`; yields the number of frames done.
 
-    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them; `looks`: the unit
-    descriptors of rows; without, the detections' sizes.
+    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them. `descriptors_of`
+    gives the unit descriptors of rows; without, they are the detections' sizes.
     """
     recorder = Recorder(tracker.delay + tracker.max_age)
     try:
         for index, (found, rows) in enumerate(frames):
-            look = describe_sizes(found.boxes) if looks is None else looks(rows)
-            update = tracker.update(found.boxes, look)
+            if descriptors_of is None:
+                descriptors = describe_sizes(found.boxes)
+            else:
+                descriptors = descriptors_of(rows)
+            update = tracker.update(found.boxes, descriptors)
             recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
             results.n_frames += 1
             results.n_detections += len(found)

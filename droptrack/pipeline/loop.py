@@ -85,7 +85,7 @@ def track_frames(
     frame_tracker = FrameTracker(tracker, describe, results, live=live)
     running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
     engine = detector.engine
-    most = 0 if live else 2 * engine.parallel  # so that the network waits for nobody
+    max_running = 0 if live else 2 * engine.parallel  # so that the network waits for nobody
 
     def finish_oldest() -> int:
         items, detections_of = running.popleft()
@@ -108,7 +108,7 @@ def track_frames(
                 images = [item.frame for item in items]
                 running.append((items, detector.start(images, results.times)))
                 results.n_dropped = reader.n_dropped
-                if len(running) > most:
+                if len(running) > max_running:
                     yield finish_oldest()
             while running:
                 yield finish_oldest()

@@ -6,7 +6,7 @@ import pytest
 
 from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes.arrangements import SCENES
-from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
+from droptrack.data.darknet_dataset import read_data_file, read_ground_truth, read_image
 from droptrack.data.degradation import photographed
 from droptrack.errors import DroptrackError
 
@@ -40,7 +40,7 @@ def test_labels_read_back_are_the_boxes_that_were_drawn(tmp_path: Path) -> None:
     assert (len(data.train), len(data.valid)) == (4, 1)
     for index, path in enumerate(data.train):
         scene = SCENES["ab"[index % 2]](np.random.default_rng([8, 0, index]))
-        truth = read_truth(path, 1200, 600)
+        truth = read_ground_truth(path, 1200, 600)
         np.testing.assert_allclose(truth.boxes, scene.boxes, atol=0.01)
         grey = read_image(path)[..., 0].astype(float)
         assert np.abs(grey - scene.image).mean() < 1
@@ -115,4 +115,4 @@ def test_a_damaged_label_file_is_named(tmp_path: Path, line: str, problem: str) 
     make(tmp_path, Recipe("a", 1, 1, seed=1))
     (tmp_path / "train" / "000000.txt").write_text(line)
     with pytest.raises(DroptrackError, match=rf"000000\.txt.*{problem}"):
-        read_truth(tmp_path / "train" / "000000.jpg", 1200, 600)
+        read_ground_truth(tmp_path / "train" / "000000.jpg", 1200, 600)

@@ -108,7 +108,7 @@ def test_grey_frames_are_their_three_planes(backend: str, precision: str) -> Non
 
 
 @pytest.mark.parametrize(("backend", "precision"), EXACT)
-def test_pictures_started_before_others_are_done_are_not_mixed_up(
+def test_images_started_before_others_are_done_are_not_mixed_up(
     backend: str, precision: str
 ) -> None:
     own = detector(backend, precision)
@@ -166,7 +166,7 @@ def test_a_rounded_engine_loses_at_most_two_thousandths_of_precision(
 
 @cache
 def precision_of(backend: str, precision: str) -> float:
-    """MAP@0.50 on pictures of scenes c and d."""
+    """MAP@0.50 on images of scenes c and d."""
     engine = detector(backend, precision, 0.005)
     scenes = [SCENES["cd"[n % 2]](np.random.default_rng([4, n])) for n in range(16)]
     return average_precision(

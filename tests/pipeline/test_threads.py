@@ -36,7 +36,7 @@ def frames(n: int, made: list[int], pause: float = 0.0) -> Iterator[tuple[int, F
 class GreyLevelEngine(InThread):
     """Sees one droplet, at as many tenths of a pixel from the middle as the frame is bright.
 
-    Frames take times by chance, or as long as `seconds` says.
+    Frames take times at random, or as long as `seconds` says.
     """
 
     name = "test"

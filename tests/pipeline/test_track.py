@@ -1,4 +1,4 @@
-"""From videos to trajectories with the network that ships, and what happens when that fails."""
+"""From videos to trajectories with the bundled model, and what happens when that fails."""
 
 import json
 import shutil
@@ -80,8 +80,8 @@ def test_cores_in_a_sheared_shell_are_all_followed(sheared_shell: Path, tmp_path
 
 
 @pytest.mark.parametrize(("scene", "floor"), [("a", 0.995), ("b", 0.995), ("c", 0.99)])
-def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
-    """MAP@0.50 by Darknet's definition on 40 pictures that the network has not seen."""
+def test_precision_on_fresh_images(scene: str, floor: float) -> None:
+    """MAP@0.50 by Darknet's definition on 40 images that the network has not seen."""
     detector = shipped(0.005)
     pairs = []
     for number in range(40):
@@ -127,7 +127,7 @@ def test_an_image_folder_is_a_video(sine: Path, tmp_path: Path) -> None:
     assert "1200 x 600 px" in about["video"]
 
 
-def test_a_single_picture_has_its_droplets(tmp_path: Path) -> None:
+def test_a_single_image_has_its_droplets(tmp_path: Path) -> None:
     folder = tmp_path / "one"
     folder.mkdir()
     scene = SCENES["a"](np.random.default_rng([7, 0]))

@@ -27,8 +27,8 @@ class OpenVinoEngine:
     """A network in OpenVINO.
 
     `ranges` of the layers' outputs, for int8 (`quantisation.Calibration`). `streams`: how many
-    pictures are computed at once, each by a part of the cores: one for the shortest time from
-    picture to boxes, two for more pictures a second. Grey frames take a network with one channel.
+    images are computed at once, each by a part of the cores: one for the shortest time from
+    image to boxes, two for more images a second. Grey frames take a network with one channel.
     """
 
     opencv_threads = 1
@@ -56,7 +56,7 @@ class OpenVinoEngine:
         self._networks: dict[int, Compiled] = {}
 
     def prepare(self, frames: Sequence[Frame]) -> Pixels:
-        """Pictures (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
+        """Images (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
         if (planes := grey_planes(frames)) is None:
             blob = cv2.dnn.blobFromImages(frames, 1, self._size, swapRB=True, ddepth=cv2.CV_8U)
             return np.asarray(blob, np.uint8)
@@ -66,15 +66,15 @@ class OpenVinoEngine:
         return pixels
 
     def start(self, prepared: Pixels) -> "Computing":
-        """Compute pictures one by one, since together they take the same time."""
+        """Compute images one by one, since together they take the same time."""
         return Computing(self._network(prepared.shape[1]), prepared)
 
     def rows(self, outputs: list[Float32s]) -> list[Float32s]:
-        """Decoded rows (N, 5 + C) of each picture."""
+        """Decoded rows (N, 5 + C) of each image."""
         return decode_heads(outputs, self._heads, self._threshold)
 
     def _network(self, channels: int) -> "Compiled":
-        """The network for grey or RGB pictures, compiled when it is needed."""
+        """The network for grey or RGB images, compiled when it is needed."""
         if channels not in self._networks:
             model = onnx_model(
                 self._cfg,
@@ -102,17 +102,17 @@ class Compiled:
 
 
 class Computing:
-    """Pictures (B, C, height, width) on their way through a network."""
+    """Images (B, C, height, width) on their way through a network."""
 
-    def __init__(self, compiled: Compiled, pictures: Pixels) -> None:
+    def __init__(self, compiled: Compiled, images: Pixels) -> None:
         self._compiled = compiled
         self._requests: list[openvino.InferRequest] = []
         self._started = perf_counter()
-        for picture in pictures:
+        for image in images:
             free = compiled.free
             request = free.pop() if free else compiled.network.create_infer_request()
             self._requests.append(request)
-            request.start_async([picture[None]], share_inputs=True)
+            request.start_async([image[None]], share_inputs=True)
 
     def result(self) -> Computed:
         """The maps of the heads (B, A * (5 + C), rows, columns)."""
@@ -180,7 +180,7 @@ def layer_outputs(
 def output_ranges(
     cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
 ) -> dict[int, Range]:
-    """The least and largest value that layers put out, in fp32, over frames, by layer."""
+    """The minimum and maximum that layers put out, in fp32, over frames, by layer."""
     ranges = dict.fromkeys(layers, (np.inf, -np.inf))
     for outputs in layer_outputs(cfg, weights, layers, frames):
         for layer, values in outputs.items():

@@ -73,9 +73,9 @@ class TorchEngine(InThread):
         self._network = FramesToRows(cfg, weights, DTYPES[precision]).to(self.device)
 
     def prepare(self, frames: Sequence[Frame]) -> Tensor:
-        """Pictures (B, height, width, 3 or 1) of bytes, stretched to the network's size."""
-        pictures = np.stack([cv2.resize(picture, self._size) for picture in _pictures(frames)])
-        return torch.from_numpy(pictures.reshape(len(frames), *self._size[::-1], -1))
+        """Images (B, height, width, 3 or 1) of bytes, stretched to the network's size."""
+        images = np.stack([cv2.resize(image, self._size) for image in _images(frames)])
+        return torch.from_numpy(images.reshape(len(frames), *self._size[::-1], -1))
 
     def run(self, prepared: Tensor) -> Tensor:
         """Rows (B, N, 5 + C)."""
@@ -84,12 +84,12 @@ class TorchEngine(InThread):
         return rows
 
     def rows(self, outputs: Tensor) -> list[Float32s]:
-        """The rows (N, 5 + C) of each picture with an objectness above the threshold."""
+        """The rows (N, 5 + C) of each image with an objectness above the threshold."""
         every = outputs.numpy()
         return [rows[rows[:, 4] > self._threshold] for rows in every]
 
 
-def _pictures(frames: Sequence[Frame]) -> Sequence[Frame]:
+def _images(frames: Sequence[Frame]) -> Sequence[Frame]:
     """Frames (H, W, 3) as they are, grey ones (H, W, 1)."""
     planes = grey_planes(frames)
     return frames if planes is None else [plane[..., None] for plane in planes]
@@ -126,7 +126,7 @@ class TorchCudaEngine(TorchEngine):
 
     def prepare(self, frames: Sequence[Frame]) -> Tensor:
         """Frames (B, H, W, 3 or 1) of bytes in memory that the GPU reads by itself."""
-        return torch.from_numpy(np.stack(_pictures(frames))).pin_memory()
+        return torch.from_numpy(np.stack(_images(frames))).pin_memory()
 
     def run(self, prepared: Tensor) -> Tensor:
         """Rows (B, N, 5 + C), on the CPU."""

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
-from droptrack.data.darknet_dataset import DataSet, read_image, read_truth
+from droptrack.data.darknet_dataset import DataSet, read_ground_truth, read_image
 from droptrack.data.detections import Detections
 from droptrack.data.files import replacing
 from droptrack.detection.decoding import decode_head, select
@@ -309,7 +309,7 @@ def _validate(
             for raw, head in zip(maps, network.heads, strict=True)
         ]
         found = select(np.concatenate(rows), width, height, LEAST_SCORE, MAX_IOU, greedy=True)
-        yield found, read_truth(path, width, height)
+        yield found, read_ground_truth(path, width, height)
 
 
 def _quiet_worker(_: int) -> None:

@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SEED ?= 0
 SPOILT ?= 0 # share of the training pictures as a bad camera shows them
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
@@ -10,11 +11,13 @@ ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 12
 
 setup: $(VENV)/.installed
 
+# with the engine that is the fastest on CPUs, wherever there are wheels of it
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "droptrack needs Python 3.11 or newer; name one: make PYTHON=python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(PIP) --only-binary openvino,onnx,numba,llvmlite -e '.[openvino]' || \
+		{ echo "no OpenVINO for this machine: OpenCV runs the network, more slowly"; $(PIP) -e .; }
 	touch $@
 
 # everything for development, PyTorch and OpenVINO included; the exact PyTorch first, so that extras
@@ -22,9 +25,9 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 dev: $(VENV)/.dev
 
 $(VENV)/.dev: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,openvino,simulate,dev]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt trackeval
+	$(PIP) torch
+	$(PIP) -e '.[train,openvino,simulate,dev]'
+	$(PIP) --no-deps trackeval
 	touch $@
 
 demo: setup
@@ -65,7 +68,7 @@ bench: dev
 	$(BIN)/python -m bench
 	$(BIN)/python -m bench.engines
 	$(BIN)/python -m bench.simulations
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt deep-sort-realtime
+	$(PIP) --no-deps deep-sort-realtime
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers
 	$(BIN)/python -m bench.training
 

@@ -8,6 +8,7 @@ from droptrack.data.detections import Detections
 from droptrack.data.report import Report
 from droptrack.data.trajectories import Trajectories, read_trajectories, write_trajectories
 from droptrack.errors import DroptrackError
+from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.run import TrackingRun
 from droptrack.tracking.choice import TrackerConfig
 from droptrack.version import __version__
@@ -17,6 +18,7 @@ __all__ = [
     "DroptrackError",
     "Report",
     "TrackerConfig",
+    "TrackingConfig",
     "TrackingRun",
     "Trajectories",
     "__version__",

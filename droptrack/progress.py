@@ -1,5 +1,7 @@
 """Progress bars."""
 
+from importlib.util import find_spec
+
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -27,6 +29,7 @@ def progress_bar(unit: str, *, shown: bool = True) -> Progress:
     Silent elsewhere, and where it is not to be `shown`.
     """
     console = Console(stderr=True)
+    notebook = console.is_jupyter and find_spec("ipywidgets") is not None  # which rich needs there
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -36,6 +39,6 @@ def progress_bar(unit: str, *, shown: bool = True) -> Progress:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
-        disable=not (shown and (console.is_terminal or console.is_jupyter)),
+        disable=not (shown and (console.is_terminal or notebook)),
         transient=True,
     )

@@ -26,7 +26,7 @@ from droptrack.detection.decoding import select
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
 from droptrack.evaluation.average_precision import average_precision
-from droptrack.evaluation.validation import darknet_detector
+from droptrack.evaluation.network_scores import darknet_detector
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
 from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
@@ -140,7 +140,7 @@ def accuracy(images: int = 1000, seed: int = 2026) -> None:
             f"{result.average_precision:.4f}",
             f"{result.precision:.4f}",
             f"{result.recall:.4f}",
-            str(result.n_truths),
+            str(result.n_ground_truths),
         )
     console.print(table)
 

@@ -40,7 +40,7 @@ from droptrack.detection.engine_choice import Backend, Network, Precision, choos
 from droptrack.detection.engines.opencv_dnn import OpenCvEngine
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import average_precision
-from droptrack.evaluation.validation import darknet_detector
+from droptrack.evaluation.network_scores import darknet_detector
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg, parse_size
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, resized
 from droptrack.network.darknet_weights import read_weights, write_weights

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file
 from droptrack.errors import DroptrackError
-from droptrack.evaluation.validation import mean_ap
+from droptrack.evaluation.network_scores import mean_average_precision
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
 from droptrack.network.darknet_weights import read_weights
 from droptrack.progress import progress_bar
@@ -168,7 +168,7 @@ def main(
             pictures,
             out,
             darknet_settings,
-            lambda path: mean_ap(network, path, pictures.valid[:map_images]),
+            lambda path: mean_average_precision(network, path, pictures.valid[:map_images]),
         )
         about = {**binary.about(), **asdict(darknet_settings)}
         steps = training.steps(weights, resume)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper
 
 from droptrack.data.arrays import Float32s
+from droptrack.data.files import replacing
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import (
     Cfg,
@@ -134,13 +135,19 @@ def onnx_model(
     )
 
 
-def write_onnx(path: Path, model: onnx.ModelProto) -> None:
-    """Check and write a model; raises DroptrackError if the file cannot be written."""
+def export_onnx(path: Path, cfg: Cfg, weights: Weights, *, decode: bool = False) -> list[str]:
+    """Write a network as an ONNX model (`onnx_model`), checked; returns the names of its outputs.
+
+    Raises DroptrackError for layers that are not supported, and if the file cannot be written.
+    """
+    model = onnx_model(cfg, weights, decode=decode)
     onnx.checker.check_model(model, full_check=True)
     try:
-        path.write_bytes(model.SerializeToString())
+        with replacing(path) as partial:
+            partial.write_bytes(model.SerializeToString())
     except OSError as error:
         raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
+    return [output.name for output in model.graph.output]
 
 
 def _input(graph: Graph, *, pixels: bool, quantised: bool) -> str:

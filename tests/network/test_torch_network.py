@@ -10,7 +10,7 @@ torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
 from bench.random_network import random_weights
 from droptrack.detection.decoding import decode_head
-from droptrack.evaluation.validation import darknet_detector
+from droptrack.evaluation.network_scores import darknet_detector
 from droptrack.network.darknet_cfg import cfg_text, read_cfg, with_options
 from droptrack.network.darknet_weights import write_weights
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values

@@ -20,7 +20,7 @@ from droptrack.data.detections import Detections
 from droptrack.data.files import replacing
 from droptrack.detection.decoding import decode_head, select
 from droptrack.errors import DroptrackError
-from droptrack.evaluation.average_precision import LEAST_SCORE, MAX_IOU, average_precision
+from droptrack.evaluation.average_precision import MAX_IOU, MIN_SCORE, average_precision
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.network.darknet_weights import WEIGHTS_VERSION, Weights, read_weights, write_weights
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
@@ -305,10 +305,10 @@ def _validate(
         with torch.autocast(device.type, torch.bfloat16):
             maps = network(inputs.contiguous(memory_format=torch.channels_last))
         rows = [
-            decode_head(raw[0].float().cpu().numpy(), head, LEAST_SCORE)
+            decode_head(raw[0].float().cpu().numpy(), head, MIN_SCORE)
             for raw, head in zip(maps, network.heads, strict=True)
         ]
-        found = select(np.concatenate(rows), width, height, LEAST_SCORE, MAX_IOU, greedy=True)
+        found = select(np.concatenate(rows), width, height, MIN_SCORE, MAX_IOU, greedy=True)
         yield found, read_ground_truth(path, width, height)
 
 

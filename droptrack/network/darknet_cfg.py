@@ -1,10 +1,4 @@
-"""Darknet's network files: ``.cfg`` and ``.weights``, text and bytes <-> typed values.
-
-A ``.weights`` file is little-endian: int32 major, minor, revision; then the number of images
-seen (uint64 from version 0.2 on, uint32 before); then float32 values for each
-``[convolutional]`` in order: biases; with ``batch_normalize`` also scales, rolling means and
-rolling variances; then the kernel (out, in, height, width).
-"""
+"""Darknet's ``.cfg`` files: text <-> typed values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +9,9 @@ from numpy.typing import NDArray
 
 from droptrack.data.files import read_text
 from droptrack.errors import DroptrackError
+
+INPUT_MULTIPLE = 32  # of which a YOLO network's input is, px
+MAX_LOG_SIZE = 10.0  # bound on the logarithm of a box's size over its anchor's: none overflows
 
 
 @dataclass(frozen=True)
@@ -168,10 +165,11 @@ def resized(cfg: Cfg, width: int, height: int) -> Cfg:
 
 def _check(cfg: Cfg) -> None:
     for name, size in (("width", cfg.width), ("height", cfg.height)):
-        if size < 32 or size % 32:
+        if size < INPUT_MULTIPLE or size % INPUT_MULTIPLE:
+            nearest = max(1, round(size / INPUT_MULTIPLE)) * INPUT_MULTIPLE
             raise DroptrackError(
                 f"{cfg.path}:{cfg.net.line}: {name}={size}, but a YOLO network's input must be a "
-                f"multiple of 32; the nearest is {max(32, round(size / 32) * 32)}"
+                f"multiple of {INPUT_MULTIPLE}; the nearest is {nearest}"
             )
     try:
         heads = yolo_heads(cfg)

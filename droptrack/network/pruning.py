@@ -252,4 +252,4 @@ def pruned(cfg: Cfg, weights: Weights, pruning: Pruning) -> tuple[Cfg, Weights]:
         for i, layer in enumerate(cfg.layers)
     )
     values = np.concatenate(parts).astype(np.float32)
-    return Cfg(cfg.path, cfg.net, layers), Weights(weights.version, weights.seen, values)
+    return Cfg(cfg.path, cfg.net, layers), Weights(weights.version, weights.images_seen, values)

@@ -1,5 +1,7 @@
 """A Darknet ``.cfg`` as a PyTorch module, filled from and dumped to ``.weights`` values."""
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -8,9 +10,11 @@ from torch.nn import functional
 
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import (
+    MAX_LOG_SIZE,
     Cfg,
     Convolution,
     Layer,
+    YoloHead,
     convolutions,
     route_sources,
     yolo_heads,
@@ -79,6 +83,35 @@ class DarknetNetwork(nn.Module):
                 x = module(x)
             outputs.append(x)
         return maps
+
+
+class Grid(NamedTuple):
+    """Where the predictions of a head lie: what `decode_boxes` needs besides the logits."""
+
+    corner: Tensor  # (rows, columns, 2), of each cell, in cells
+    cells: Tensor  # (2,): columns, rows
+    anchors: Tensor  # (A, 1, 1, 2), relative to the input
+
+
+def head_grid(head: YoloHead, rows: int, columns: int, device: torch.device | None = None) -> Grid:
+    """The grid of a head, for maps of rows x columns cells."""
+    row, column = torch.meshgrid(
+        torch.arange(rows, device=device), torch.arange(columns, device=device), indexing="ij"
+    )
+    corner = torch.stack([column, row], 2) - (head.scale_x_y - 1) / 2
+    relative = head.anchors / [columns * head.stride, rows * head.stride]
+    anchors = torch.tensor(relative, dtype=torch.float32, device=device)[:, None, None]
+    return Grid(corner.float(), torch.tensor([columns, rows], device=device).float(), anchors)
+
+
+def decode_boxes(logits: Tensor, grid: Grid, scale_x_y: float) -> tuple[Tensor, Tensor]:
+    """Centres and sizes (B, A, rows, columns, 2), relative to the image (YOLOv3, section 2.1).
+
+    Of logits (B, A, rows, columns, 5 + C), as `decoding.decode_head` has them of arrays.
+    """
+    centre = (logits[..., :2].sigmoid() * scale_x_y + grid.corner) / grid.cells
+    size = logits[..., 2:4].clamp(max=MAX_LOG_SIZE).exp() * grid.anchors
+    return centre, size
 
 
 def _module(layer: Layer, convolution: Convolution | None) -> nn.Module:

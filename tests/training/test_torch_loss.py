@@ -10,8 +10,7 @@ torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
 from droptrack.data.detections import iou_matrix
 from droptrack.network.darknet_cfg import Cfg, read_cfg, with_options, yolo_heads
-from droptrack.training.pytorch.loss import yolo_loss
-from droptrack.training.pytorch.training import darknet_loss
+from droptrack.training.pytorch.loss import darknet_loss, yolo_loss
 
 SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 

@@ -44,11 +44,11 @@ from droptrack.evaluation.network_scores import darknet_detector
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg, parse_size
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, resized
 from droptrack.network.darknet_weights import read_weights, write_weights
-from droptrack.network.pruning import NOTHING, pruned
+from droptrack.network.pruning import NO_PRUNING, pruned
 from droptrack.network.quantisation import (
     Calibration,
     find_calibration,
-    joined,
+    merge_ranges,
     quantised_layers,
     sha256_of,
     write_calibration,
@@ -204,10 +204,20 @@ def random_full(folder: Path) -> tuple[Cfg, Path]:
     weights = random_weights(cfg, np.random.default_rng(0))
     path = folder / "yolov3.weights"
     write_weights(path, weights)
-    pictures = [np.random.default_rng(1).integers(0, 256, (224, 416, 3)).astype(np.uint8)]
-    ranges = joined(cfg, output_ranges(cfg, weights, quantised_layers(cfg), pictures))
-    made = Calibration(sha256_of(path), 416, 224, ranges, 1, 0, (0, 0), (0, 0), NOTHING)
-    write_calibration(path, cfg, made)
+    images = [np.random.default_rng(1).integers(0, 256, (224, 416, 3)).astype(np.uint8)]
+    ranges = merge_ranges(cfg, output_ranges(cfg, weights, quantised_layers(cfg), images))
+    calibration = Calibration(
+        weights_sha256=sha256_of(path),
+        width=cfg.width,
+        height=cfg.height,
+        ranges=ranges,
+        n_calibrated=len(images),
+        n_checked=0,
+        map_fp32=(0, 0),
+        map_int8=(0, 0),
+        pruning=NO_PRUNING,
+    )
+    write_calibration(path, cfg, calibration)
     return cfg, path
 
 

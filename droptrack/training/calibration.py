@@ -20,11 +20,18 @@ from droptrack.evaluation.network_scores import (
 )
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.network.darknet_weights import Weights, read_weights
-from droptrack.network.pruning import NOTHING, Moments, Pruning, choose, pruned, readers
+from droptrack.network.pruning import (
+    NO_PRUNING,
+    Moments,
+    Pruning,
+    choose_pruning,
+    pruned,
+    readers,
+)
 from droptrack.network.quantisation import (
     MAX_LOSS,
     Calibration,
-    joined,
+    merge_ranges,
     quantised_layers,
     sha256_of,
     write_calibration,
@@ -49,7 +56,7 @@ def calibrate(
     """Prune a network, measure the ranges that int8 needs, check the cost in mAP, and keep it.
 
     Ranges come from the first `images` training images, mAPs from the first `checked` validation
-    images; `error` is what pruning may change (`pruning.choose`), 0 for no pruning. Where int8
+    images; `error` is what pruning may change (`choose_pruning`), 0 for no pruning. Where int8
     costs more than MAX_LOSSES, less is pruned. Returns the file written. Raises DroptrackError
     where OpenVINO is not installed, and where int8 costs more than MAX_LOSS without pruning, too.
     """
@@ -63,7 +70,7 @@ def calibrate(
     for pruning in prunings(cfg, values, train, error):
         smaller = pruned(cfg, values, pruning)
         layers = quantised_layers(cfg)
-        ranges = joined(cfg, output_ranges(*smaller, layers, _frames(train, "ranges")))
+        ranges = merge_ranges(cfg, output_ranges(*smaller, layers, _frames(train, "ranges")))
         engine = OpenVinoEngine(*smaller, "int8", MIN_SCORE, ranges)
         calibration = Calibration(
             weights_sha256=sha256_of(weights),
@@ -76,7 +83,8 @@ def calibrate(
             map_int8=mean_average_precisions(engine, valid),
             pruning=pruning,
         )
-        if all(loss <= most for loss, most in zip(calibration.losses, MAX_LOSSES, strict=True)):
+        losses = zip(calibration.losses, MAX_LOSSES, strict=True)
+        if all(loss <= allowed for loss, allowed in losses):
             break
     return write_calibration(weights, cfg, calibration), calibration
 
@@ -110,14 +118,14 @@ def _frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
 
 def prunings(cfg: Cfg, weights: Weights, images: Sequence[Path], error: float) -> Iterator[Pruning]:
     """What to prune for an error, for a quarter of it, for a sixteenth, and nothing."""
-    from droptrack.network.onnx_export import folded_convolutions
+    from droptrack.network.onnx_layers import folded_convolutions
 
     if error:
         kernels = {i: kernel for i, (kernel, _) in folded_convolutions(cfg, weights).items()}
         moments = measure_moments(cfg, weights, kernels, _frames(images, "channels"))
         for divided in range(TRIES):
-            yield choose(cfg, kernels, moments, error / PRUNED_LESS**divided)
-    yield NOTHING
+            yield choose_pruning(cfg, kernels, moments, error / PRUNED_LESS**divided)
+    yield NO_PRUNING
 
 
 def measure_moments(

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from droptrack.command_line import new_app, one_line_errors
+from droptrack.command_line import also_call, new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
@@ -16,6 +16,7 @@ from droptrack.network.bundled import find_network
 from droptrack.options import BackendOption, CfgOption, PrecisionOption, WeightsOption
 
 app = new_app()
+also_call(__name__, evaluate)
 
 
 @app.command()

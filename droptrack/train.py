@@ -72,7 +72,7 @@ def main(
         int, typer.Option(min=0, help="Stop after N mAPs without a new best; 0: never.")
     ] = 0,
     hang_minutes: Annotated[
-        float, typer.Option(min=0.01, help="Stop a Darknet that prints nothing for so long.")
+        float, typer.Option(min=0.01, help="Stop a Darknet that prints nothing for N minutes.")
     ] = 30,
     optimizer: Annotated[
         Optimizer, typer.Option(help="PyTorch: sgd is Darknet's; adamw needs fewer iterations.")

@@ -1,4 +1,4 @@
-"""What a network needs for 8 bits: pruned, its ranges measured, and what both cost checked."""
+"""Calibrate a network for 8 bits: prune it, measure its ranges, check the cost in mAP."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -117,7 +117,7 @@ def _frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
 
 
 def prunings(cfg: Cfg, weights: Weights, images: Sequence[Path], error: float) -> Iterator[Pruning]:
-    """What to prune for an error, for a quarter of it, for a sixteenth, and nothing."""
+    """The pruning for an error, for a quarter of it, for a sixteenth of it, and no pruning."""
     from droptrack.network.onnx_layers import folded_convolutions
 
     if error:

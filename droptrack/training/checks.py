@@ -1,4 +1,4 @@
-"""Checks before a training starts, of what would make it fail hours later."""
+"""Checks before a training starts, so that it does not fail hours later."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a training is told: one record for whichever program trains."""
+"""The settings of a training, whichever program trains."""
 
 import os
 from collections.abc import Callable
@@ -16,7 +16,7 @@ DEFAULT_WORKERS = min(8, max(1, (os.cpu_count() or 2) - 1))
 
 
 class Trainer(StrEnum):
-    """What does the training."""
+    """The program that trains."""
 
     darknet = "darknet"
     torch = "torch"
@@ -24,7 +24,7 @@ class Trainer(StrEnum):
 
 
 class Optimizer(StrEnum):
-    """How the PyTorch trainer descends along the gradient."""
+    """The optimizer of the PyTorch trainer."""
 
     sgd = "sgd"
     adamw = "adamw"
@@ -39,9 +39,11 @@ class TrainingPrecision(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
-    """What to train on what, and how; 0 and "" leave what the ``.cfg`` says or the trainer does.
+    """A network, a data set, a run folder, and how to train.
 
-    Only the PyTorch trainer has `optimizer` and all that follows.
+    0 and "" keep the value of the ``.cfg``, or the default of the trainer.
+
+    `optimizer` and the fields after it are for the PyTorch trainer only.
     """
 
     cfg: Path

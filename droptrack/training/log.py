@@ -1,4 +1,4 @@
-"""What a training leaves behind, whichever program trains: training.csv, training.png, run.json."""
+"""The record of a training, whichever program trains: training.csv, training.png, run.json."""
 
 import csv
 import json
@@ -47,6 +47,15 @@ class Step:
 def running_average(average: float, loss: float) -> float:
     """Darknet's average of the loss; it starts with the first loss, and again after a NaN."""
     return loss if math.isnan(average) else 0.9 * average + 0.1 * loss
+
+
+def diverged(folder: Path, step: Step) -> DroptrackError:
+    """The error for a loss, or its gradient, that is no number any more."""
+    return DroptrackError(
+        f"{folder}: the loss or its gradient became NaN or infinite at iteration {step.iteration}, "
+        f"at a rate of {step.learning_rate:g}; start again, in another --out, with a smaller "
+        "--learning-rate"
+    )
 
 
 class TrainingLog:

@@ -1,6 +1,5 @@
 """Scores of drawings whose answer one can count by eye."""
 
-import doctest
 import math
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import pytest
 
 from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
 from droptrack.errors import DroptrackError
-from droptrack.evaluation import trajectories
 from droptrack.evaluation.trajectories import evaluate, height_of
 
 Point = tuple[int, int, float, float]  # frame, identity, x, y
@@ -161,7 +159,3 @@ def test_files_are_scored_as_what_they_hold_and_say_the_images_height(tmp_path: 
 def test_height_is_read_from_the_file_that_has_it() -> None:
     assert height_of({}, {"video": "a.avi, 1200 x 600 px, 25 frames/s"}) == 600
     assert math.isnan(height_of({}, {}))
-
-
-def test_the_example_in_the_documentation_is_right() -> None:
-    assert doctest.testmod(trajectories) == (0, 5)

@@ -214,13 +214,13 @@ def test_death_after_the_end_is_none(darknet: FakeDarknet, data: Path, tmp_path:
     assert train(darknet, data, tmp_path / "run")[0] == 0
 
 
-def test_a_loss_that_is_no_number_stops_darknet_and_is_placed(
+def test_a_loss_that_diverges_stops_darknet_and_is_placed(
     darknet: FakeDarknet, data: Path, tmp_path: Path
 ) -> None:
     darknet.will("alexeyab_nan", "slow")
     code, output = train(darknet, data, tmp_path / "run")
     assert code == 1
-    assert "no number any more at iteration 25, at a rate of 0.003" in output
+    assert "NaN or infinite at iteration 25, at a rate of 0.003" in output
     assert read_log(tmp_path / "run" / "training.csv")[-1].iteration == 25
 
 

@@ -23,7 +23,7 @@ def data(tmp_path: Path) -> DataSet:
     """Three images, whose labels are as they should be."""
     images = [tmp_path / f"{i}.jpg" for i in range(3)]
     for image in images:
-        image.write_bytes(b"picture")
+        image.write_bytes(b"image")
         image.with_suffix(".txt").write_text("0 0.5 0.5 0.1 0.2\n\n0 0.25 0.5 0.1 0.2\n")
     return DataSet(tmp_path / "obj.data", ("droplet",), tuple(images[:2]), (images[2],))
 

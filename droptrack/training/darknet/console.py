@@ -76,7 +76,7 @@ QUESTION = re.compile('Type "yes" to begin training')
 
 
 def parse_line(line: str) -> Event | None:
-    """The event that a line of the console stands for, if any."""
+    """The event that a line of the console tells, if any."""
     text = ESCAPES.sub("", line)
     try:
         if found := ALEXEY_LINE.match(text) or HANK_LINE.match(text):

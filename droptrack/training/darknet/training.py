@@ -31,7 +31,7 @@ from droptrack.training.darknet.console import (
     Saving,
 )
 from droptrack.training.darknet.process import DarknetProcess, last_words
-from droptrack.training.log import Step, TrainingLog
+from droptrack.training.log import Step, TrainingLog, diverged
 
 NAN = float("nan")
 
@@ -64,8 +64,8 @@ class DarknetTraining:
 
         `start`: weights to begin with. With `resume`, resumes from the snapshot with the highest
         iteration. A Darknet that ends while it computes a mAP is started again without ``-map``.
-        Raises DroptrackError when the loss is no number any more, and when Darknet ends early or
-        prints nothing for too long.
+        Raises DroptrackError when the loss diverges, and when Darknet ends early or prints nothing
+        for too long.
         """
         write_data_files(self.darknet, self.folder, self.data, self.settings)
         first = 0
@@ -112,7 +112,8 @@ class DarknetTraining:
                         iteration, began = event.iteration, now
                         next_map = event.next_map or next_map
                         log.append(step)
-                        self._check_loss(step)
+                        if not math.isfinite(step.loss):
+                            raise diverged(self.folder, step)
                         yield step
                         if snapshot is not None and not with_map:
                             if iteration - scorer.iteration >= self.settings.map_every:
@@ -165,14 +166,6 @@ class DarknetTraining:
                         f"{limit:.0f} s and was stopped; {self._cure()} (--hang-minutes allows "
                         "more)"
                     ) from None
-
-    def _check_loss(self, step: Step) -> None:
-        if not math.isfinite(step.loss):
-            raise DroptrackError(
-                f"{self.folder}: the loss is no number any more at iteration {step.iteration}, "
-                f"at a rate of {step.learning_rate:g}; start again, in another --out, "
-                "with a smaller --learning-rate"
-            )
 
     def _check_end(self, process: DarknetProcess, iteration: int, at_map: bool) -> None:
         """Raise an error where Darknet did not come to the end of the training."""

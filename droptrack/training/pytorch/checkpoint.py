@@ -1,4 +1,4 @@
-"""What a PyTorch training keeps on the disk: weights, and checkpoints to resume from."""
+"""The files of a PyTorch training: weights, and checkpoints to resume from."""
 
 from pathlib import Path
 

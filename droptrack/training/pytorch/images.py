@@ -20,7 +20,7 @@ from droptrack.training.pytorch.devices import leave_signals_to_the_first_proces
 # image (3, H, W) uint8 RGB; ground truths (N, 5) class, relative box
 Sample = tuple[Tensor, Tensor]
 
-DARKNET_RANDOM = 1.4  # the factor on the size that Darknet's random=1 stands for, or one over it
+DARKNET_RANDOM = 1.4  # maximum factor on the size with Darknet's random=1; minimum: one over it
 SHARE_WITH_DROPLET = 0.9  # of the windows, which are laid around a random droplet
 MIN_VISIBLE = 0.1  # share of a droplet's area in the window, for it to be ground truth
 MIN_VISIBLE_PX = 2  # and of its width and height

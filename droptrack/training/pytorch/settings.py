@@ -1,4 +1,4 @@
-"""What the PyTorch trainer is told."""
+"""The settings of the PyTorch trainer."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ class TorchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """What to train on what.
+    """One training: a network, a data set, a run folder, and how to train.
 
     `start`: weights to begin from. With `resume`, the training resumes from the checkpoint in
     `out`. `draw` makes the training images instead of the data set.

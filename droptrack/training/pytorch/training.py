@@ -15,7 +15,7 @@ from torch.utils.data import DataLoader
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_weights import read_weights
 from droptrack.network.torch_network import DarknetNetwork, load_values
-from droptrack.training.log import Step, TrainingLog, running_average
+from droptrack.training.log import Step, TrainingLog, diverged, running_average
 from droptrack.training.pytorch.checkpoint import restore, save_checkpoint, save_weights
 from droptrack.training.pytorch.devices import mean_over_ranks, other_ranks
 from droptrack.training.pytorch.images import (
@@ -37,7 +37,7 @@ def train(job: Job) -> Generator[Step, None, None]:
 
     By the cfg's stem: ``_last.weights`` and ``_checkpoint.pt`` every `save_every` iterations and
     whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end;
-    ``training.csv`` and ``training.png``. Raises DroptrackError when the loss is no number.
+    ``training.csv`` and ``training.png``. Raises DroptrackError when the loss diverges.
     """
     with other_ranks(job.settings.devices, job.settings.workers, _train_along, job):
         yield from _lead(job)
@@ -80,11 +80,7 @@ def _lead(job: Job) -> Generator[Step, None, None]:
                     learner.save_last(done)
                 yield step
                 if not trained.finite:
-                    raise DroptrackError(
-                        f"{job.out}: the loss or its gradient is no number any more at iteration "
-                        f"{done}, at a rate of {step.learning_rate:g}; start again, in another "
-                        "--out, with a smaller --learning-rate"
-                    )
+                    raise diverged(job.out, step)
                 if log.is_stale(settings.patience):
                     break
             learner.save("final", done)

@@ -1,6 +1,8 @@
 """Progress bars."""
 
+from collections.abc import Iterable, Iterator
 from importlib.util import find_spec
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -14,6 +16,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+T = TypeVar("T")
 
 
 class _Note(ProgressColumn):
@@ -42,3 +46,9 @@ def progress_bar(unit: str, *, shown: bool = True) -> Progress:
         disable=not (shown and (console.is_terminal or notebook)),
         transient=True,
     )
+
+
+def with_progress(items: Iterable[T], total: int, task: str, unit: str) -> Iterator[T]:
+    """The items, one after the other, counted on the progress bar of a task."""
+    with progress_bar(unit) as progress:
+        yield from progress.track(items, total=total, description=task)

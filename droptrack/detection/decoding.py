@@ -14,7 +14,7 @@ from droptrack.detection.suppression import (
     MIN_SHARE_OUTSIDE,
     suppress_duplicates,
 )
-from droptrack.network.darknet_cfg import YoloHead
+from droptrack.network.darknet_cfg import MAX_LOG_SIZE, YoloHead
 
 
 def load_loops() -> ModuleType | None:
@@ -46,7 +46,9 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     min_logit = logit(threshold)
     if (loops := load_loops()) is not None:
         whole = np.ascontiguousarray(raw, np.float32)
-        found = loops.decode_head(whole, head.anchors, head.stride, head.scale_x_y, min_logit)
+        found = loops.decode_head(
+            whole, head.anchors, head.stride, head.scale_x_y, min_logit, MAX_LOG_SIZE
+        )
         return np.asarray(found)
     likely = np.flatnonzero(raw[:, 4] > min_logit)
     if not len(likely):
@@ -56,7 +58,7 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
     probability = expit(chosen)
     in_cell = head.scale_x_y * (probability[:, :2] - 0.5) + 0.5
-    size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / head.stride
+    size = np.exp(np.minimum(chosen[:, 2:4], MAX_LOG_SIZE)) * head.anchors[anchor] / head.stride
     found = np.empty(chosen.shape, np.float32)
     found[:, 0] = (in_cell[:, 0] + column) / columns
     found[:, 1] = (in_cell[:, 1] + row) / rows

@@ -89,9 +89,14 @@ def _drop_between(
 
 
 # compiled when they are imported, not at the first frame
-@njit((_MAP, _FLOATS, types.float64, types.float64, types.float64), **FAST)
+@njit((_MAP, _FLOATS, types.float64, types.float64, types.float64, types.float64), **FAST)
 def decode_head(
-    raw: Float32s, anchors: Floats, stride: float, scale_x_y: float, min_logit: float
+    raw: Float32s,
+    anchors: Floats,
+    stride: float,
+    scale_x_y: float,
+    min_logit: float,
+    max_log_size: float,
 ) -> Float32s:
     """`decoding.decode_head`, where `min_logit` is the threshold's logit."""
     n_anchors, n_values, n_rows, n_columns = raw.shape
@@ -113,7 +118,7 @@ def decode_head(
                 found[n, 0] = (scale_x_y * (found[n, 0] - 0.5) + 0.5 + column) / n_columns
                 found[n, 1] = (scale_x_y * (found[n, 1] - 0.5) + 0.5 + row) / n_rows
                 for k, cells in ((2, n_columns), (3, n_rows)):
-                    size = np.exp(min(values[k], np.float32(10))) * anchors[anchor, k - 2]
+                    size = np.exp(min(values[k], np.float32(max_log_size))) * anchors[anchor, k - 2]
                     found[n, k] = size / stride / cells
                 n += 1
     return found

@@ -20,8 +20,8 @@ from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
 from droptrack.detection.engines.opencv_dnn import has_cuda
 from droptrack.errors import DroptrackError
-from droptrack.evaluate import evaluate
 from droptrack.evaluation.average_precision import average_precision
+from droptrack.evaluation.trajectories import evaluate
 from droptrack.measurement.centre_of_mass import centres_of_mass
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg

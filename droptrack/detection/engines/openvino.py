@@ -17,7 +17,8 @@ from droptrack.detection.decoding import decode_heads
 from droptrack.detection.detector import Computed
 from droptrack.network.darknet_cfg import Cfg, yolo_heads
 from droptrack.network.darknet_weights import Weights
-from droptrack.network.onnx_export import KERNEL_MAX, UNSATURATED_MAX, Range, onnx_model
+from droptrack.network.onnx_export import onnx_model
+from droptrack.network.quantisation import KERNEL_MAX, UNSATURATED_MAX, Quantisation, Range
 
 # in int8, what is not quantised, such as the last maps, is computed in fp32
 INFERENCE_PRECISION = {"fp32": "f32", "bf16": "bf16", "int8": "f32"}
@@ -76,14 +77,15 @@ class OpenVinoEngine:
     def _network(self, channels: int) -> "Compiled":
         """The network for grey or RGB images, compiled when it is needed."""
         if channels not in self._networks:
+            quantisation = None
+            if self._ranges is not None:
+                quantisation = Quantisation(self._ranges, kernel_max(), pool_bytes=True)
             model = onnx_model(
                 self._cfg,
                 self._weights,
                 pixels=True,
                 grey=channels == 1,
-                ranges=self._ranges,
-                pool_bytes=True,
-                kernel_max=kernel_max(),
+                quantisation=quantisation,
             )
             network = core().read_model(model.SerializeToString())
             network.reshape([1, channels, *self._size[::-1]])

@@ -17,7 +17,7 @@ from rich.table import Table
 
 from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
 from data_gen.make_dataset import Recipe, make_dataset
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.command_line import new_app
 from droptrack.data.detections import Detections, labels
 from droptrack.data.trajectories import TrajectoryWriter

@@ -26,7 +26,7 @@ from rich.table import Table
 
 from bench.random_network import random_weights
 from data_gen.make_dataset import JPEG_QUALITY
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from data_gen.scenes.shapes import WHITE, draw_ellipses
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.degradation import photographed

@@ -15,7 +15,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from data_gen.scenes.arrangements import HEIGHT, SCENES, WIDTH
+from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.degradation import photographed

@@ -13,13 +13,19 @@ from data_gen.lattice_boltzmann import lattice
 from data_gen.lattice_boltzmann.camera import Camera
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes
-from data_gen.lattice_boltzmann.recording import Recorder, Recording
-from data_gen.lattice_boltzmann.settings import Device, changed, compiled, engine, usable_device
+from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder
+from data_gen.lattice_boltzmann.settings import (
+    Device,
+    changed,
+    solver_class,
+    usable_device,
+    use_threads,
+)
 from droptrack.data.arrays import Floats
 from droptrack.errors import DroptrackError
 
 if TYPE_CHECKING:
-    from data_gen.lattice_boltzmann.color_gradient.engine import Engine
+    from data_gen.lattice_boltzmann.color_gradient.solver import Solver
 
 SMALL = Params()
 PAPER = Params(
@@ -41,18 +47,18 @@ class Constriction:
         self.parameters: Mapping[str, object] = asdict(params)
         self._fluid = ~solid_nodes(params)
         self._start = cg.masses(state)
-        self._make: type[Engine] = engine("color_gradient", device)
-        self._engine: Engine = self._make(params, state)
+        self._make: type[Solver] = solver_class("color_gradient", device)
+        self._solver: Solver = self._make(params, state)
 
     @property
     def step(self) -> int:
         """Steps done."""
-        return self._engine.state.step
+        return self._solver.state.step
 
     @property
     def device(self) -> str:
         """What it runs on."""
-        return self._engine.device
+        return self._solver.device
 
     @property
     def size(self) -> tuple[int, int]:
@@ -61,19 +67,19 @@ class Constriction:
 
     def run(self, steps: int) -> None:
         """Advance."""
-        self._engine.run(steps)
+        self._solver.run(steps)
 
     def patches(self) -> list[tuple[Floats, Floats]]:
         """The droplets."""
-        return cg.patches(self._engine.state)
+        return cg.patches(self._solver.state)
 
     def shade(self) -> Floats:
         """White droplets on black."""
-        return cg.shade(self._engine.state)
+        return cg.shade(self._solver.state)
 
     def unstable(self) -> str | None:
         """Values that are not finite, densities or velocities out of range."""
-        f = self._engine.state.f
+        f = self._solver.state.f
         rho = lattice.density(f)[self._fluid]
         if not np.isfinite(rho).all():
             return "values that are not finite"
@@ -84,7 +90,7 @@ class Constriction:
 
     def checks(self) -> dict[str, float]:
         """Largest drift of a droplet's mass, density, velocity, overlap, pieces, droplets out."""
-        state = self._engine.state
+        state = self._solver.state
         rho = lattice.density(state.f)[self._fluid]
         pieces = [ndimage.label(c > 0.5)[1] for c, _ in self.patches()]
         return {
@@ -110,13 +116,13 @@ class Constriction:
 
     def arrays(self) -> dict[str, Any]:
         """The state, for a checkpoint; with the masses of the start."""
-        return dict(vars(self._engine.state)) | {"start": self._start}
+        return dict(vars(self._solver.state)) | {"start": self._start}
 
     def load(self, arrays: Any) -> None:
         """Go on from a checkpoint's state."""
         values = dict(arrays) | {"step": int(arrays["step"])}
         self._start = values.pop("start")
-        self._engine = self._make(self.params, cg.State(**values))
+        self._solver = self._make(self.params, cg.State(**values))
 
 
 def constriction(
@@ -150,9 +156,9 @@ def constriction(
     last = params.rest_steps + (steps or STEPS[size])
     camera = Camera(scale, blur, noise, uneven, seed)
     recording = Recording(params.rest_steps, last, every or EVERY[size], fps, camera)
-    compiled("color_gradient.engine", threads)
+    use_threads(threads)
     device = usable_device(device, lambda text: typer.echo(text, err=True))
     simulation = Constriction(params, cg.initial_state(params), device)
-    summary = Recorder(simulation, out, recording).run(resume=resume)
+    summary = SimulationRecorder(simulation, out, recording).run(resume=resume)
     through = int(simulation.checks()["through"])
     typer.echo(f"{summary}; {through} of {params.droplets} droplets through")

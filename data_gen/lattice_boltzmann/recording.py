@@ -118,7 +118,7 @@ def truth_rows(simulation: Simulation, frame: int, scale: int) -> Floats:
     return np.array(rows, float).reshape(-1, 9)
 
 
-class Recorder:
+class SimulationRecorder:
     """A recording in a folder."""
 
     def __init__(self, simulation: Simulation, out: Path, recording: Recording) -> None:

@@ -12,13 +12,19 @@ from scipy import ndimage
 from data_gen.lattice_boltzmann import lattice
 from data_gen.lattice_boltzmann.camera import Camera
 from data_gen.lattice_boltzmann.free_energy import reference as fe
-from data_gen.lattice_boltzmann.recording import Recorder, Recording
-from data_gen.lattice_boltzmann.settings import Device, changed, compiled, engine, usable_device
+from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder
+from data_gen.lattice_boltzmann.settings import (
+    Device,
+    changed,
+    solver_class,
+    usable_device,
+    use_threads,
+)
 from droptrack.data.arrays import Floats
 from droptrack.errors import DroptrackError
 
 if TYPE_CHECKING:
-    from data_gen.lattice_boltzmann.free_energy.engine import Engine
+    from data_gen.lattice_boltzmann.free_energy.solver import Solver
 
 CORE_DISTANCE = {1: 0.0, 2: 18.0, 3: 21.0, 4: 24.0}  # of the centres from the middle
 STEPS = {"small": 80_000, "paper": 150_000}  # about half a turn and a whole one
@@ -33,18 +39,18 @@ class Shear:
         self.params = params
         self.parameters: Mapping[str, object] = asdict(params)
         self._start = fe.masses(fe.initial_state(params))
-        self._make: type[Engine] = engine("free_energy", device)
-        self._engine: Engine = self._make(params, state)
+        self._make: type[Solver] = solver_class("free_energy", device)
+        self._solver: Solver = self._make(params, state)
 
     @property
     def step(self) -> int:
         """Steps done."""
-        return self._engine.state.step
+        return self._solver.state.step
 
     @property
     def device(self) -> str:
         """What it runs on."""
-        return self._engine.device
+        return self._solver.device
 
     @property
     def size(self) -> tuple[int, int]:
@@ -53,19 +59,19 @@ class Shear:
 
     def run(self, steps: int) -> None:
         """Advance."""
-        self._engine.run(steps)
+        self._solver.run(steps)
 
     def patches(self) -> list[tuple[Floats, Floats]]:
         """The cores."""
-        return fe.patches(self.params, self._engine.state)
+        return fe.patches(self.params, self._solver.state)
 
     def shade(self) -> Floats:
         """White cores in a black shell on white."""
-        return fe.shade(self.params, self._engine.state)
+        return fe.shade(self.params, self._solver.state)
 
     def unstable(self) -> str | None:
         """Values that are not finite, or fast, or far from where the model holds."""
-        state = self._engine.state
+        state = self._solver.state
         rho = lattice.density(state.f)
         if not (np.isfinite(rho).all() and np.isfinite(state.outer).all()):
             return "values that are not finite"
@@ -81,7 +87,7 @@ class Shear:
 
     def checks(self) -> dict[str, float]:
         """Largest drift of a mass, density, velocity, and the pieces of the worst core."""
-        state = self._engine.state
+        state = self._solver.state
         rho = lattice.density(state.f)
         u = fe.velocity(state, fe.forces(self.params, state)[0])
         pieces = [ndimage.label(p > 0.5)[1] for p, _ in self.patches()]
@@ -101,12 +107,12 @@ class Shear:
 
     def arrays(self) -> dict[str, Any]:
         """The state, for a checkpoint."""
-        return dict(vars(self._engine.state))
+        return dict(vars(self._solver.state))
 
     def load(self, arrays: Any) -> None:
         """Go on from a checkpoint's state."""
         state = fe.State(**(dict(arrays) | {"step": int(arrays["step"])}))
-        self._engine = self._make(self.params, state)
+        self._solver = self._make(self.params, state)
 
 
 def shear(
@@ -138,7 +144,7 @@ def shear(
     camera = Camera(scale, blur, noise, uneven, seed)
     last = params.rest_steps + (steps or STEPS[size])
     recording = Recording(params.rest_steps, last, every, fps, camera)
-    compiled("free_energy.engine", threads)
+    use_threads(threads)
     device = usable_device(device, lambda text: typer.echo(text, err=True))
     simulation = Shear(params, fe.initial_state(params), device)
-    typer.echo(Recorder(simulation, out, recording).run(resume=resume))
+    typer.echo(SimulationRecorder(simulation, out, recording).run(resume=resume))

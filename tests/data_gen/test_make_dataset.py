@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from data_gen.make_dataset import Recipe, make_dataset
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
 from droptrack.data.degradation import photographed
 from droptrack.errors import DroptrackError

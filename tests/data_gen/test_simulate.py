@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.lattice_boltzmann.camera import Camera, photograph
-from data_gen.lattice_boltzmann.recording import Recorder, Recording, truth_rows
+from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder, truth_rows
 from data_gen.simulate import app
 from droptrack.data.trajectories import read_trajectories
 from droptrack.data.video import Video
@@ -77,7 +77,7 @@ def test_shear_writes_video_truth_parameters_and_pictures(tmp_path: Path) -> Non
 
 def test_truth_is_that_of_a_drawn_droplet() -> None:
     simulation = tiny_constriction()
-    state = simulation._engine.state
+    state = simulation._solver.state
     labels = np.zeros_like(state.labels)
     labels[0, 10:20, 5:25] = 1.0  # 20 wide, 10 high
     labels[1, 0, 0] = 0.3  # gone
@@ -99,7 +99,7 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
         return Shear(params, fe.initial_state(params))
 
     recording = Recording(20, 110, 15, 25, Camera(noise=4.0, seed=3), checkpoint_frames=2)
-    Recorder(simulation(), tmp_path / "whole", recording).run(resume=False)
+    SimulationRecorder(simulation(), tmp_path / "whole", recording).run(resume=False)
 
     class StoppedError(Exception):
         pass
@@ -114,8 +114,8 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
 
     stopped.run = run_until_killed  # type: ignore[method-assign]
     with pytest.raises(StoppedError):
-        Recorder(stopped, tmp_path / "parts", recording).run(resume=False)
-    Recorder(simulation(), tmp_path / "parts", recording).run(resume=True)
+        SimulationRecorder(stopped, tmp_path / "parts", recording).run(resume=False)
+    SimulationRecorder(simulation(), tmp_path / "parts", recording).run(resume=True)
     assert truth_and_video(tmp_path / "parts") == truth_and_video(tmp_path / "whole")
     states = [np.load(tmp_path / name / "checkpoint.npz") for name in ("parts", "whole")]
     for name in states[0].files:
@@ -134,10 +134,10 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
     simulation.run = run_and_interrupt  # type: ignore[method-assign]
     recording = Recording(0, 400, 20, 25, Camera(), checkpoint_frames=100)
     with pytest.raises(KeyboardInterrupt):
-        Recorder(simulation, tmp_path, recording).run(resume=False)
+        SimulationRecorder(simulation, tmp_path, recording).run(resume=False)
     with np.load(tmp_path / "checkpoint.npz") as kept:
         assert len(kept["counts"]) == 10  # the frame at 180 too
-    text = Recorder(tiny_constriction(), tmp_path, recording).run(resume=True)
+    text = SimulationRecorder(tiny_constriction(), tmp_path, recording).run(resume=True)
     assert "21 frames" in text
 
 
@@ -149,13 +149,13 @@ def test_an_unstable_run_stops_says_where_and_keeps_the_checkpoint(tmp_path: Pat
     def blow_up(steps: int) -> None:
         run(steps)
         if simulation.step >= 30:
-            f = simulation._engine.state.f.copy()
+            f = simulation._solver.state.f.copy()
             f[1, 30, 30] = np.nan
             simulation.load(simulation.arrays() | {"f": f})
 
     simulation.run = blow_up  # type: ignore[method-assign]
     with pytest.raises(DroptrackError, match=r"unstable at step 30: values that are not finite"):
-        Recorder(simulation, tmp_path, recording).run(resume=False)
+        SimulationRecorder(simulation, tmp_path, recording).run(resume=False)
     with np.load(tmp_path / "checkpoint.npz") as kept:
         assert kept["state_step"] == 20
         assert np.isfinite(kept["state_f"]).all()

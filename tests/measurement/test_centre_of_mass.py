@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from data_gen.scenes.shapes import BLACK, WHITE, draw_contour, draw_ellipses, ellipse_boxes
 from droptrack.data.degradation import photographed
 from droptrack.measurement.centre_of_mass import centres_of_mass

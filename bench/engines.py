@@ -29,7 +29,7 @@ from data_gen.make_dataset import JPEG_QUALITY
 from data_gen.scenes.scene_kinds import SCENES
 from data_gen.scenes.shapes import WHITE, draw_ellipses
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.data.degradation import photographed
+from droptrack.data.degradation import degrade
 from droptrack.data.detections import Detections, labels
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.data.stage_times import STAGES
@@ -335,7 +335,7 @@ def mean_precision(engine: Detector, scene: str, images: int, *, spoilt: bool) -
             jpeg = cv2.imencode(".jpg", drawn.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
             frame = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
             if spoilt:
-                frame = photographed(frame, np.random.default_rng([2026, 3, index]))
+                frame = degrade(frame, np.random.default_rng([2026, 3, index]))
             yield engine.detect([frame])[0], labels(drawn.boxes)
 
     return average_precision(pairs()).average_precision

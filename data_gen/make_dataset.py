@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
-from droptrack.data.degradation import photographed
+from droptrack.data.degradation import degrade
 from droptrack.data.files import write_text
 from droptrack.errors import DroptrackError
 from droptrack.progress import progress_bar
@@ -69,7 +69,7 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     path = folder / image_name(split, index)
     quality = [cv2.IMWRITE_JPEG_QUALITY, recipe.jpeg_quality]
     spoilt = rng.random() < recipe.spoilt
-    image = photographed(scene.image, rng) if spoilt else scene.image
+    image = degrade(scene.image, rng) if spoilt else scene.image
     path.write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
     write_text(path.with_suffix(".txt"), label_text(scene.boxes, WIDTH, HEIGHT))
 

@@ -9,7 +9,7 @@ import typer
 
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
-from droptrack.data.degradation import photographed
+from droptrack.data.degradation import degrade
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector, Engine
@@ -112,7 +112,7 @@ def frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
         for path in progress.track(paths, description=stage, total=len(paths)):
             frame = read_image(path)
             yield frame
-            yield photographed(frame, rng)
+            yield degrade(frame, rng)
 
 
 def prunings(

@@ -154,7 +154,7 @@ def constriction(
     if params.droplets < 1:
         raise DroptrackError("droplets 0: a video needs one or more")
     last = params.rest_steps + (steps or STEPS[size])
-    camera = Camera(scale, blur, noise, uneven, seed)
+    camera = Camera(scale=scale, blur_px=blur, noise=noise, uneven=uneven, seed=seed)
     recording = Recording(params.rest_steps, last, every or EVERY[size], fps, camera)
     use_threads(threads)
     device = usable_device(device, lambda text: typer.echo(text, err=True))

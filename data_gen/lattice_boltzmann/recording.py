@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from data_gen.lattice_boltzmann.camera import Camera, photograph
+from data_gen.lattice_boltzmann.camera import Camera, capture
 from droptrack.data.arrays import Floats
 from droptrack.data.files import replacing
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter, sorted_trajectories
@@ -206,7 +206,7 @@ class SimulationRecorder:
 
     def _record(self) -> dict[str, float]:
         index = len(self.truth)
-        image = photograph(self.simulation.shade(), self.recording.camera, index)
+        image = capture(self.simulation.shade(), self.recording.camera, index)
         write_png(self._frames / f"{index:06d}.png", image)
         values = self.simulation.checks()
         self.check_names = list(values)

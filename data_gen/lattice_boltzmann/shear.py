@@ -141,7 +141,7 @@ def shear(
     params = changed(params, change or [])
     if params.cores < 1:
         raise DroptrackError("cores 0: a video needs one or more")
-    camera = Camera(scale, blur, noise, uneven, seed)
+    camera = Camera(scale=scale, blur_px=blur, noise=noise, uneven=uneven, seed=seed)
     last = params.rest_steps + (steps or STEPS[size])
     recording = Recording(params.rest_steps, last, every, fps, camera)
     use_threads(threads)

@@ -7,7 +7,6 @@ import pytest
 from data_gen.make_dataset import Recipe, make_dataset
 from data_gen.scenes.scene_kinds import SCENES
 from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
-from droptrack.data.degradation import photographed
 from droptrack.errors import DroptrackError
 
 
@@ -77,15 +76,6 @@ def test_a_data_set_from_before_pictures_could_be_spoilt_is_completed(tmp_path: 
     make(tmp_path, recipe)
     with pytest.raises(DroptrackError, match="of other spoilt"):
         make(tmp_path, Recipe("c", 3, 1, seed=1, spoilt=1))
-
-
-def test_flaws_are_the_same_in_all_colours() -> None:
-    picture = SCENES["c"](np.random.default_rng(0)).image
-    grey = photographed(picture, np.random.default_rng(4))
-    colour = photographed(np.repeat(picture[..., None], 3, axis=2), np.random.default_rng(4))
-    assert grey.dtype == np.uint8
-    assert (colour == grey[..., None]).all()
-    assert (grey != picture).mean() > 0.02
 
 
 def test_another_data_set_is_not_overwritten(tmp_path: Path) -> None:

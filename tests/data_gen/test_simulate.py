@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_gen.lattice_boltzmann.camera import Camera, photograph
+from data_gen.lattice_boltzmann.camera import Camera, capture
 from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder, truth_rows
 from data_gen.simulate import app
 from droptrack.data.trajectories import read_trajectories
@@ -182,10 +182,10 @@ def test_camera_effects_change_the_picture_and_leave_the_truth(tmp_path: Path) -
     assert (first.x == second.x).all()
     assert (first.boxes == second.boxes).all()
     shade = np.ones((20, 30))
-    image = photograph(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)
+    image = capture(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)
     assert image[:4, :4].mean() > 1.6 * image[-4:, -4:].mean()
-    assert (image == photograph(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)).all()
-    assert (image != photograph(shade, Camera(noise=5.0, uneven=0.5, seed=1), 8)).any()
+    assert (image == capture(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)).all()
+    assert (image != capture(shade, Camera(noise=5.0, uneven=0.5, seed=1), 8)).any()
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from bench.engines import DROPLETS, MAX_IOU, SCORE, write_video
-from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes.dataset import Recipe, make_dataset
 from data_gen.scenes.scene_kinds import SCENES
 from droptrack.command_line import new_app
 from droptrack.data.detections import Detections, labels
@@ -49,7 +49,9 @@ def dataset(images: int = 10_000) -> None:
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
             for _ in make_dataset(
-                Path(folder) / "data", Recipe(scene, images, 0, 1), os.cpu_count() or 1
+                Path(folder) / "data",
+                Recipe(scene=scene, images=images, valid=0, seed=1),
+                os.cpu_count() or 1,
             ):
                 pass
             seconds = time.perf_counter() - start

@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.random_network import random_weights
-from data_gen.make_dataset import JPEG_QUALITY
+from data_gen.scenes.dataset import JPEG_QUALITY
 from data_gen.scenes.scene_kinds import SCENES
 from data_gen.scenes.shapes import WHITE, draw_ellipses
 from droptrack.command_line import new_app, one_line_errors

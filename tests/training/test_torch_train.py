@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
-from data_gen.make_dataset import Recipe, make_dataset, picture_source
+from data_gen.scenes.dataset import Recipe, image_source, make_dataset
 from droptrack.data.darknet_dataset import DataSet, read_data_file
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg
@@ -35,7 +35,7 @@ SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     folder = tmp_path_factory.mktemp("data") / "a"
-    for _ in make_dataset(folder, Recipe("a", 24, 8, seed=2), 1):
+    for _ in make_dataset(folder, Recipe(scene="a", images=24, valid=8, seed=2), 1):
         pass
     return read_data_file(folder / "obj.data")
 
@@ -183,7 +183,7 @@ def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
 ) -> None:
     cfg = read_cfg(SMALL)
     drawn: list[NDArray[np.float64]] = []
-    source = picture_source("tiny")
+    source = image_source("tiny")
 
     def draw(rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         image, boxes = source(rng)
@@ -200,7 +200,7 @@ def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
     list(train(Job(cfg, data, tmp_path, settings(iterations=6), resume=True, draw=draw)))
     assert len({boxes.tobytes() for boxes in drawn}) == 24  # none of the first 16 again
     with pytest.raises(DroptrackError, match="no scene nought; there are a, b"):
-        picture_source("nought")
+        image_source("nought")
 
 
 def test_training_holds_on_to_no_tensors(data: DataSet, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def solver_class(model: str, device: Device) -> Any:
     return _numba_module(f"{model}.{SOLVERS[device]}").Solver
 
 
-def usable_device(device: Device, say: Callable[[str], None]) -> Device:
+def usable_device(device: Device, say: Callable[[str], object]) -> Device:
     """`cpu` or `cuda`, as wanted; for `auto` the GPU where there is one that works.
 
     `auto` tells `say` why a GPU for which numba-cuda is installed is not used. Raises

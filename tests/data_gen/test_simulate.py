@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.lattice_boltzmann.camera import Camera, capture
-from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder, truth_rows
+from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder, ground_truth_rows
 from data_gen.simulate import app
 from droptrack.data.trajectories import read_trajectories
 from droptrack.data.video import Video
@@ -77,13 +77,13 @@ def test_shear_writes_video_truth_parameters_and_pictures(tmp_path: Path) -> Non
 
 def test_truth_is_that_of_a_drawn_droplet() -> None:
     simulation = tiny_constriction()
-    state = simulation._solver.state
+    state = simulation.state
     labels = np.zeros_like(state.labels)
     labels[0, 10:20, 5:25] = 1.0  # 20 wide, 10 high
     labels[1, 0, 0] = 0.3  # gone
     labels[2, 7, 3] = 0.9
     simulation.load(simulation.arrays() | {"labels": labels, "step": 5})
-    rows = truth_rows(simulation, 4, scale=2)
+    rows = ground_truth_rows(simulation, 4, scale=2)
     y_0, x_0 = state.origins[0]
     expected = [4, 1, 2 * (x_0 + 15), 2 * (60 - y_0 - 15)]
     np.testing.assert_allclose(rows[0], [*expected, *expected[2:], 40, 20, 800])
@@ -95,10 +95,15 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
     def simulation() -> Shear | Constriction:
         if kind == "constriction":
             return tiny_constriction()
-        params = fe.Params(70, 60, 2, 7, 22, 9, window=40, rest_steps=10)
+        params = fe.Params(
+            width=70, height=60, cores=2, core_radius=7, shell_radius=22, core_distance=9,
+            window=40, rest_steps=10,
+        )  # fmt: skip
         return Shear(params, fe.initial_state(params))
 
-    recording = Recording(20, 110, 15, 25, Camera(noise=4.0, seed=3), checkpoint_frames=2)
+    recording = Recording(
+        first=20, last=110, every=15, fps=25, camera=Camera(noise=4.0, seed=3), checkpoint_frames=2
+    )
     SimulationRecorder(simulation(), tmp_path / "whole", recording).run(resume=False)
 
     class StoppedError(Exception):
@@ -132,7 +137,9 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     simulation.run = run_and_interrupt  # type: ignore[method-assign]
-    recording = Recording(0, 400, 20, 25, Camera(), checkpoint_frames=100)
+    recording = Recording(
+        first=0, last=400, every=20, fps=25, camera=Camera(), checkpoint_frames=100
+    )
     with pytest.raises(KeyboardInterrupt):
         SimulationRecorder(simulation, tmp_path, recording).run(resume=False)
     with np.load(tmp_path / "checkpoint.npz") as kept:
@@ -143,13 +150,13 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
 
 def test_an_unstable_run_stops_says_where_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     simulation = tiny_constriction()
-    recording = Recording(0, 400, 10, 25, Camera(), checkpoint_frames=1)
+    recording = Recording(first=0, last=400, every=10, fps=25, camera=Camera(), checkpoint_frames=1)
     run = simulation.run
 
     def blow_up(steps: int) -> None:
         run(steps)
         if simulation.step >= 30:
-            f = simulation._solver.state.f.copy()
+            f = simulation.state.f.copy()
             f[1, 30, 30] = np.nan
             simulation.load(simulation.arrays() | {"f": f})
 

@@ -4,7 +4,8 @@ VENV ?= .venv
 BIN = $(VENV)/bin
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SEED ?= 0
-SPOILT ?= 0 # share of the training pictures as a bad camera shows them
+SPOILT ?= 0
+DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
 .PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
@@ -38,8 +39,8 @@ demo: setup
 	@echo "look at tracks/demo: tracked.mp4 paths.png trajectories.csv report.json"
 
 dataset: setup
-	$(BIN)/python -m data_gen.make_dataset --scene tiny --out datasets/tiny --seed $(SEED) --spoilt $(SPOILT)
-	$(BIN)/python -m data_gen.make_dataset --scene full --out datasets/full --seed $(SEED) --spoilt $(SPOILT)
+	$(BIN)/python -m data_gen.make_dataset --scene tiny --out datasets/tiny --seed $(SEED) --degraded $(DEGRADED)
+	$(BIN)/python -m data_gen.make_dataset --scene full --out datasets/full --seed $(SEED) --degraded $(DEGRADED)
 
 train-tiny: dev dataset
 	$(BIN)/python -m droptrack.train --cfg darknet_cfg/yolov3-tiny.cfg \

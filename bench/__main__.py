@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.drawn import DROPLETS, SEED, drawn_images, write_video
-from data_gen.make_dataset import Recipe, make_dataset
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.dataset import Recipe, make_dataset
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.command_line import new_app
 from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.data.video import Video
@@ -45,7 +45,9 @@ def dataset(
         with tempfile.TemporaryDirectory() as folder:
             start = time.perf_counter()
             for _ in make_dataset(
-                Path(folder) / "data", Recipe(scene, images, 0, 1), os.cpu_count() or 1
+                Path(folder) / "data",
+                Recipe(scene=scene, images=images, valid=0, seed=1),
+                os.cpu_count() or 1,
             ):
                 pass
             seconds = time.perf_counter() - start

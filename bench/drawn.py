@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_gen.make_dataset import JPEG_QUALITY
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.dataset import JPEG_QUALITY
+from data_gen.scenes.scene_kinds import SCENES
 from data_gen.scenes.shapes import WHITE, draw_ellipses
-from droptrack.data.degradation import photographed
+from droptrack.data.degradation import degrade
 from droptrack.data.detections import labels
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.evaluation.network_scores import LabelledImage
@@ -41,5 +41,5 @@ def drawn_images(
         jpeg = cv2.imencode(".jpg", drawn.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
         image = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
         if degraded:
-            image = photographed(image, np.random.default_rng([seed, 3, index]))
+            image = degrade(image, np.random.default_rng([seed, 3, index]))
         yield image, labels(drawn.boxes)

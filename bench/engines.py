@@ -26,7 +26,7 @@ from rich.table import Table
 
 from bench.drawn import drawn_images, write_video
 from bench.random_network import random_weights
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.data.stage_times import STAGES

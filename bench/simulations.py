@@ -15,7 +15,7 @@ import typer
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.constriction import PAPER, SMALL
 from data_gen.lattice_boltzmann.free_energy import reference as fe
-from data_gen.lattice_boltzmann.settings import Device, compiled, engine, usable_device
+from data_gen.lattice_boltzmann.settings import Device, solver_class, usable_device, use_threads
 from droptrack.command_line import new_app, one_line_errors
 
 SECONDS = 3.0  # a measurement
@@ -24,7 +24,7 @@ app = new_app()
 
 
 def updates_a_second(running: Any, nodes: int) -> float:
-    """Lattice updates a second of a running engine, after a start that is not counted."""
+    """Lattice updates a second of a running solver, after a start that is not counted."""
     running.run(4)
     first, start = running.state.step, time.perf_counter()
     while time.perf_counter() - start < SECONDS:
@@ -34,7 +34,7 @@ def updates_a_second(running: Any, nodes: int) -> float:
 
 
 def table(title: str, cases: Cases) -> None:
-    """Measure and print the cases; each makes an engine and says how many nodes it has."""
+    """Measure and print the cases; each makes a solver and says how many nodes it has."""
     typer.echo(title)
     first = 0.0
     for name, make in cases.items():
@@ -48,14 +48,14 @@ def table(title: str, cases: Cases) -> None:
 
 
 def shear(params: fe.Params, device: Device = "cpu") -> tuple[Any, int]:
-    """A free-energy engine."""
-    running = engine("free_energy", device)(params, fe.initial_state(params))
+    """A free-energy solver."""
+    running = solver_class("free_energy", device)(params, fe.initial_state(params))
     return running, params.width * params.height
 
 
 def constriction(params: Any, device: Device = "cpu") -> tuple[Any, int]:
-    """A colour-gradient engine."""
-    running = engine("color_gradient", device)(params, cg.initial_state(params))
+    """A colour-gradient solver."""
+    running = solver_class("color_gradient", device)(params, cg.initial_state(params))
     return running, params.width * params.height
 
 
@@ -63,7 +63,7 @@ def constriction(params: Any, device: Device = "cpu") -> tuple[Any, int]:
 @one_line_errors
 def bench(threads: int = 0) -> None:
     """Print tables for both simulations."""
-    compiled("free_energy.engine", threads)
+    use_threads(threads)
     device = usable_device("auto", typer.echo)
     base = fe.Params(rest_steps=0)
     cases: Cases = {

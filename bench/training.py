@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes.dataset import Recipe, make_dataset
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import DataSet, read_data_file
 from droptrack.network.bundled import BUNDLED
@@ -62,7 +62,9 @@ def main(
     net = {key: str(value) for key, value in changes.items()}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for _ in make_dataset(folder / "data", Recipe("tiny", 200, 8, 1), 1):
+        for _ in make_dataset(
+            folder / "data", Recipe(scene="tiny", images=200, valid=8, seed=1), 1
+        ):
             pass
         data = read_data_file(folder / "data" / "obj.data")
         network = _copy(folder, with_options(read_cfg(cfg), net, {"random": "0"}))

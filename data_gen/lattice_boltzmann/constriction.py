@@ -1,25 +1,19 @@
-"""Command: a dense emulsion pushed through a constriction (appendix A)."""
+"""A dense emulsion pushed through a constriction (appendix A)."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
-import typer
 from scipy import ndimage
 
 from data_gen.lattice_boltzmann import lattice
-from data_gen.lattice_boltzmann.camera import Camera
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes
-from data_gen.lattice_boltzmann.recording import Recorder, Recording
-from data_gen.lattice_boltzmann.settings import Device, changed, compiled, engine, usable_device
+from data_gen.lattice_boltzmann.settings import Device, changed
+from data_gen.lattice_boltzmann.simulation import Simulation
 from droptrack.data.arrays import Floats
 from droptrack.errors import DroptrackError
-
-if TYPE_CHECKING:
-    from data_gen.lattice_boltzmann.color_gradient.engine import Engine
 
 SMALL = Params()
 PAPER = Params(
@@ -28,63 +22,70 @@ PAPER = Params(
 )  # fmt: skip
 SIZES = {"small": SMALL, "paper": PAPER}
 STEPS = {"small": 40_000, "paper": 250_000}  # at most
-EVERY = {"small": 100, "paper": 400}
+EVERY = {"small": 100, "paper": 400}  # steps per frame
+
+# beyond these a run counts as unstable
+DENSITY_RANGE = (0.5, 1.5)
+MAX_VELOCITY = 0.4
 
 
-class Constriction:
-    """The simulation as the recorder sees it."""
+def constriction_parameters(
+    size: Literal["small", "paper"],
+    droplets: int | None = None,
+    seed: int = 0,
+    settings: Iterable[str] = (),
+) -> Params:
+    """The parameters of a size, with its droplets or another number of them.
+
+    `settings` are `name=value`. Raises DroptrackError for impossible ones.
+    """
+    params = replace(SIZES[size], seed=seed)
+    if droplets is not None:
+        params = replace(params, droplets=droplets)
+    params = changed(params, settings)
+    if params.droplets < 1:
+        raise DroptrackError("droplets 0: a video needs one or more")
+    return params
+
+
+class Constriction(Simulation[Params, cg.State]):
+    """Droplets that squeeze through a constriction."""
 
     name = "constriction"
+    model = "color_gradient"
 
     def __init__(self, params: Params, state: cg.State, device: Device = "cpu") -> None:
-        self.params = params
-        self.parameters: Mapping[str, object] = asdict(params)
+        super().__init__(params, state, device)
         self._fluid = ~solid_nodes(params)
         self._start = cg.masses(state)
-        self._make: type[Engine] = engine("color_gradient", device)
-        self._engine: Engine = self._make(params, state)
 
-    @property
-    def step(self) -> int:
-        """Steps done."""
-        return self._engine.state.step
-
-    @property
-    def device(self) -> str:
-        """What it runs on."""
-        return self._engine.device
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in nodes."""
-        return self.params.width, self.params.height
-
-    def run(self, steps: int) -> None:
-        """Advance."""
-        self._engine.run(steps)
+    @classmethod
+    def initial_state(cls, params: Params) -> cg.State:
+        """The droplets of the seed in the inlet chamber, at rest."""
+        return cg.initial_state(params)
 
     def patches(self) -> list[tuple[Floats, Floats]]:
         """The droplets."""
-        return cg.patches(self._engine.state)
+        return cg.patches(self.state)
 
     def shade(self) -> Floats:
         """White droplets on black."""
-        return cg.shade(self._engine.state)
+        return cg.shade(self.state)
 
     def unstable(self) -> str | None:
         """Values that are not finite, densities or velocities out of range."""
-        f = self._engine.state.f
+        f = self.state.f
         rho = lattice.density(f)[self._fluid]
         if not np.isfinite(rho).all():
             return "values that are not finite"
-        if rho.min() < 0.5 or rho.max() > 1.5:
+        if rho.min() < DENSITY_RANGE[0] or rho.max() > DENSITY_RANGE[1]:
             return f"density from {rho.min():.3g} to {rho.max():.3g}"
         speed = np.hypot(*lattice.momentum(f)).max()
-        return f"velocity {speed:.3g}" if speed > 0.4 else None
+        return f"velocity {speed:.3g}" if speed > MAX_VELOCITY else None
 
     def checks(self) -> dict[str, float]:
-        """Largest drift of a droplet's mass, density, velocity, overlap, pieces, droplets out."""
-        state = self._engine.state
+        """Maximum drift of a mass, density, velocity, sum of fractions, pieces, droplets out."""
+        state = self.state
         rho = lattice.density(state.f)[self._fluid]
         pieces = [ndimage.label(c > 0.5)[1] for c, _ in self.patches()]
         return {
@@ -108,51 +109,16 @@ class Constriction:
         """Whether every droplet is through."""
         return self._through() == self.params.droplets
 
+    def outcome(self) -> str:
+        """How many droplets are through."""
+        return f"{self._through()} of {self.params.droplets} droplets through"
+
     def arrays(self) -> dict[str, Any]:
-        """The state, for a checkpoint; with the masses of the start."""
-        return dict(vars(self._engine.state)) | {"start": self._start}
+        """The state and the masses of the start, for a checkpoint."""
+        return super().arrays() | {"start": self._start}
 
-    def load(self, arrays: Any) -> None:
-        """Go on from a checkpoint's state."""
-        values = dict(arrays) | {"step": int(arrays["step"])}
+    def load(self, arrays: Mapping[str, Any]) -> None:
+        """Resume from a checkpoint's state."""
+        values = dict(arrays)
         self._start = values.pop("start")
-        self._engine = self._make(self.params, cg.State(**values))
-
-
-def constriction(
-    out: Annotated[Path, typer.Option(help="Folder for the video, the truth and all else.")],
-    droplets: Annotated[int | None, typer.Option(min=1, help="19 small, 49 paper.")] = None,
-    size: Annotated[
-        Literal["small", "paper"], typer.Option(help="About 390 x 205, or 1,200 x 600.")
-    ] = "small",
-    seed: Annotated[int, typer.Option(min=0, help="Of the droplets' places and noise.")] = 0,
-    steps: Annotated[int | None, typer.Option(min=1, help="At most, after the rest.")] = None,
-    every: Annotated[int | None, typer.Option(min=1, help="Steps a frame.")] = None,
-    scale: Annotated[int, typer.Option(help="Pixels a lattice node.")] = 1,
-    blur: Annotated[float, typer.Option(help="Sigma of the camera's blur, px.")] = 0.0,
-    noise: Annotated[float, typer.Option(help="Sigma of its noise, grey levels.")] = 0.0,
-    uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
-    fps: Annotated[int, typer.Option(min=1)] = 25,
-    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=0, help="Of the CPU; 0: all.")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
-    change: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter, such as sigma=0.04.")
-    ] = None,
-) -> None:
-    """Droplets in a dense emulsion that squeezes through a constriction: white on black."""
-    params = replace(SIZES[size], seed=seed)
-    if droplets is not None:
-        params = replace(params, droplets=droplets)
-    params = changed(params, change or [])
-    if params.droplets < 1:
-        raise DroptrackError("droplets 0: a video needs one or more")
-    last = params.rest_steps + (steps or STEPS[size])
-    camera = Camera(scale, blur, noise, uneven, seed)
-    recording = Recording(params.rest_steps, last, every or EVERY[size], fps, camera)
-    compiled("color_gradient.engine", threads)
-    device = usable_device(device, lambda text: typer.echo(text, err=True))
-    simulation = Constriction(params, cg.initial_state(params), device)
-    summary = Recorder(simulation, out, recording).run(resume=resume)
-    through = int(simulation.checks()["through"])
-    typer.echo(f"{summary}; {through} of {params.droplets} droplets through")
+        super().load(values)

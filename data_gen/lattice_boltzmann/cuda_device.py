@@ -1,4 +1,4 @@
-"""The GPU of the simulations: whether it works, and what their engines share on it."""
+"""The GPU of the simulations: whether it works, and what their solvers share on it."""
 
 import math
 from typing import Any

@@ -1,7 +1,8 @@
-"""Runs a simulation and records it: frames, truth, checks, checkpoints; resumes bit for bit.
+"""Runs a simulation and records it: frames, ground truth, checks, checkpoints.
 
-While a run goes on, its folder holds `frames/` (PNG) and `checkpoint.npz`; at the end video.avi,
-truth.csv, checks.csv and three pictures are made from them, and the frames are removed.
+During a run its folder holds `frames/` (PNG) and `checkpoint.npz`; at the end video.avi, truth.csv,
+checks.csv and three images are made from them, and the frames are removed. An interrupted run
+resumes bit for bit.
 """
 
 import contextlib
@@ -12,15 +13,18 @@ import signal
 import threading
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from data_gen.lattice_boltzmann.camera import Camera, photograph
+from data_gen.lattice_boltzmann.camera import Camera, capture
+from data_gen.lattice_boltzmann.settings import Device, usable_device, use_threads
+from data_gen.lattice_boltzmann.simulation import AnySimulation, P, Simulation
 from droptrack.data.arrays import Floats
 from droptrack.data.files import replacing
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter, sorted_trajectories
@@ -29,72 +33,50 @@ from droptrack.errors import DroptrackError
 from droptrack.progress import progress_bar
 from droptrack.version import __version__
 
-CHECK_STEPS = 50  # between looks for instability
-PICTURES = ("start", "middle", "end")
+CHECK_STEPS = 50  # between checks for instability
+SNAPSHOTS = ("start", "middle", "end")  # frames that are kept as images
+STATE = "state_"  # before the names of a checkpoint's arrays of the state
 
 
-class Simulation(Protocol):
-    """What is recorded."""
-
-    name: str
-    parameters: Mapping[str, object]
-
-    @property
-    def step(self) -> int:
-        """Steps done."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in nodes."""
-
-    @property
-    def device(self) -> str:
-        """What it runs on."""
-
-    def run(self, steps: int) -> None:
-        """Advance."""
-
-    def patches(self) -> list[tuple[Floats, Floats]]:
-        """For every droplet: its fraction (h, w) in 0..1, and the [y, x] of that array's corner."""
-
-    def shade(self) -> Floats:
-        """Brightness (H, W) in 0..1, y up."""
-
-    def unstable(self) -> str | None:
-        """What has gone wrong, if anything; cheap, asked every few steps."""
-
-    def checks(self) -> dict[str, float]:
-        """Values to watch."""
-
-    def finished(self) -> bool:
-        """Whether what was to be seen has been."""
-
-    def arrays(self) -> dict[str, Any]:
-        """The state, for a checkpoint."""
-
-    def load(self, arrays: Mapping[str, Any]) -> None:
-        """Go on from a checkpoint's state."""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Recording:
-    """How to record: the first and the last step, steps a frame, frames a second, a checkpoint
-    every so many frames.
-    """  # noqa: D205
+    """How to record. Raises DroptrackError where there would be less than one frame."""
 
-    first: int
-    last: int
-    every: int
-    fps: int
+    first: int  # step of the first frame
+    last: int  # step after which no frame comes
+    every: int  # steps per frame
+    fps: int  # frames per second of the video
     camera: Camera
-    checkpoint_frames: int = 20
+    checkpoint_frames: int = 20  # frames per checkpoint
 
     def __post_init__(self) -> None:
         if self.every < 1 or self.last < self.first + self.every or self.checkpoint_frames < 1:
             raise DroptrackError("--steps should be one frame or more, --every one step or more")
 
 
-def truth_rows(simulation: Simulation, frame: int, scale: int) -> Floats:
+def record(
+    kind: type[Simulation[P, Any]],
+    params: P,
+    out: Path,
+    recording: Recording,
+    *,
+    device: Device = "cpu",
+    threads: int = 0,
+    resume: bool = False,
+    say: Callable[[str], object] = print,
+) -> str:
+    """Run a simulation from its start and record it in a folder; returns a summary.
+
+    On `threads` of the CPU, 0 for all, or on a GPU; `say` is told why `auto` does not use one.
+    Raises DroptrackError for what is not installed, and when the simulation goes unstable.
+    """
+    use_threads(threads)
+    usable = usable_device(device, say)
+    simulation = kind(params, kind.initial_state(params), usable)
+    return SimulationRecorder(simulation, out, recording).run(resume=resume)
+
+
+def ground_truth_rows(simulation: AnySimulation, frame: int, scale: int) -> Floats:
     """Rows [frame, id, x, y, box cx, cy, w, h, area] of the droplets, in px, y down.
 
     x, y: centre of mass where the fraction exceeds 1/2; box and area: of that region. A droplet of
@@ -118,15 +100,15 @@ def truth_rows(simulation: Simulation, frame: int, scale: int) -> Floats:
     return np.array(rows, float).reshape(-1, 9)
 
 
-class Recorder:
-    """A recording in a folder."""
+class SimulationRecorder:
+    """A recording in a folder: what is known of each frame, and the files made from it."""
 
-    def __init__(self, simulation: Simulation, out: Path, recording: Recording) -> None:
+    def __init__(self, simulation: AnySimulation, out: Path, recording: Recording) -> None:
         self.simulation, self.out, self.recording = simulation, out, recording
-        self.truth: list[Floats] = []
-        self.checks: list[list[float]] = []
+        self.ground_truth: list[Floats] = []  # rows of each frame
+        self.checks: list[list[float]] = []  # frame, step and values
         self.check_names: list[str] = []
-        self._frames = out / "frames"
+        self._checkpoint = out / "checkpoint.npz"
         self._stop = False
         self._about = {
             "version": __version__,
@@ -135,31 +117,49 @@ class Recorder:
             "recording": asdict(recording),
         }
 
+    @property
+    def n_frames(self) -> int:
+        """Frames recorded."""
+        return len(self.ground_truth)
+
     def run(self, *, resume: bool) -> str:
         """Run to the end; returns a summary. Raises DroptrackError when the run goes unstable."""
         if resume:
             self._load()
         else:
-            if (self.out / "checkpoint.npz").exists():
-                raise DroptrackError(
-                    f"{self.out}: holds a run already; give --resume or another folder"
-                )
-            self._frames.mkdir(parents=True, exist_ok=True)
-            text = json.dumps(self._about, indent=2)
-            (self.out / "parameters.json").write_text(text + "\n", encoding="utf-8")
+            self._start_folder()
         start, first_step = time.perf_counter(), self.simulation.step
         with stopped_by_signals(self._ask_to_stop):
             self._loop()
         elapsed = time.perf_counter() - start
-        self._finish()
-        done = self.simulation.step - first_step
+        self._write_video()
+        self._write_ground_truth()
+        self._write_checks()
+        shutil.rmtree(self._frame(0).parent)
+        return self._summary(self.simulation.step - first_step, elapsed)
+
+    def _summary(self, steps: int, seconds: float) -> str:
+        speed = steps / seconds if steps else 0.0
         width, height = self.simulation.size
-        speed = done / elapsed if done else 0.0
-        return (
-            f"{self.out / 'video.avi'}: {len(self.truth)} frames, {self.simulation.step} steps; "
+        parts = (
+            f"{self.out / 'video.avi'}: {self.n_frames} frames, {self.simulation.step} steps",
             f"{speed:.4g} steps/s, {speed * width * height / 1e6:.3g} million lattice updates/s "
-            f"on {self.simulation.device}"
+            f"on {self.simulation.device}",
+            self.simulation.outcome(),
         )
+        return "; ".join(part for part in parts if part)
+
+    def _frame(self, index: int) -> Path:
+        return self.out / "frames" / f"{index:06d}.png"
+
+    def _start_folder(self) -> None:
+        if self._checkpoint.exists():
+            raise DroptrackError(
+                f"{self.out}: holds a run already; give --resume or another folder"
+            )
+        self._frame(0).parent.mkdir(parents=True, exist_ok=True)
+        text = json.dumps(self._about, indent=2)
+        (self.out / "parameters.json").write_text(text + "\n", encoding="utf-8")
 
     def _ask_to_stop(self, *_: object) -> None:
         self._stop = True
@@ -172,19 +172,19 @@ class Recorder:
             task = progress.add_task(
                 f"{simulation.name} on {simulation.device}",
                 total=frames,
-                completed=len(self.truth),
+                completed=self.n_frames,
                 note="starting",
             )
-            while len(self.truth) < frames and not (self.truth and simulation.finished()):
+            while self.n_frames < frames and not (self.n_frames and simulation.finished()):
                 clock, before = time.perf_counter(), simulation.step
-                self._advance(recording.first + len(self.truth) * recording.every)
+                self._advance(recording.first + self.n_frames * recording.every)
                 speed = (simulation.step - before) / (time.perf_counter() - clock)
                 values = self._record()
                 watched = " ".join(f"{name} {value:.4g}" for name, value in values.items())
                 updates = speed * width * height / 1e6
                 note = f"{speed:.0f} steps/s, {updates:.1f} M updates/s, {watched}"
-                progress.update(task, completed=len(self.truth), note=note)
-                if len(self.truth) % recording.checkpoint_frames == 0:
+                progress.update(task, completed=self.n_frames, note=note)
+                if self.n_frames % recording.checkpoint_frames == 0:
                     self._save()
         self._save()
 
@@ -197,114 +197,135 @@ class Recorder:
             self.simulation.run(min(CHECK_STEPS, until - self.simulation.step))
             trouble = self.simulation.unstable()
             if trouble:
-                kept = (self.out / "checkpoint.npz").exists()
-                last = "; the last checkpoint is kept" if kept else ""
+                last = "; the last checkpoint is kept" if self._checkpoint.exists() else ""
                 raise DroptrackError(
                     f"{self.simulation.name}: unstable at step {self.simulation.step}: "
                     f"{trouble}{last}"
                 )
 
     def _record(self) -> dict[str, float]:
-        index = len(self.truth)
-        image = photograph(self.simulation.shade(), self.recording.camera, index)
-        write_png(self._frames / f"{index:06d}.png", image)
+        """Keep a frame and what is known of it; returns what was checked."""
+        index, camera = self.n_frames, self.recording.camera
+        write_png(self._frame(index), capture(self.simulation.shade(), camera, index))
         values = self.simulation.checks()
         self.check_names = list(values)
-        rows = truth_rows(self.simulation, index, self.recording.camera.scale)
+        rows = ground_truth_rows(self.simulation, index, camera.scale)
         self.checks = [*self.checks[:index], [index, self.simulation.step, *values.values()]]
-        self.truth.append(rows)
+        self.ground_truth.append(rows)
         return values
 
     def _save(self) -> None:
         """Write the checkpoint: complete or not at all."""
-        if not self.truth:
+        if not self.n_frames:
             return  # nothing yet that would be lost
-        counts = [len(rows) for rows in self.truth]
-        with replacing(self.out / "checkpoint.npz") as partial:
+        counts = [len(rows) for rows in self.ground_truth]
+        with replacing(self._checkpoint) as partial:
             np.savez(
                 partial,
                 about=json.dumps(self._about),
-                truth=np.concatenate(self.truth),
+                truth=np.concatenate(self.ground_truth),
                 counts=np.array(counts, np.int64),
                 checks=np.array(self.checks, float),
                 check_names=np.array(self.check_names),
-                **{f"state_{name}": array for name, array in self.simulation.arrays().items()},
+                **{STATE + name: array for name, array in self.simulation.arrays().items()},
             )
 
     def _load(self) -> None:
-        path = self.out / "checkpoint.npz"
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                data = dict(stored)
-        except FileNotFoundError:
-            raise DroptrackError(f"{path}: no such file, so there is no run to resume") from None
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-            raise DroptrackError(f"{path}: cannot be read as a checkpoint: {error}") from None
-        if "about" not in data:
-            raise DroptrackError(f"{path}: is no checkpoint of a simulation")
-        theirs, ours = json.loads(str(data["about"])), json.loads(json.dumps(self._about))
-        for part in ours:
-            if theirs.get(part) != ours[part]:
-                different = part
-                if isinstance(ours[part], dict) and isinstance(theirs.get(part), dict):
-                    names = [n for n in ours[part] if theirs[part].get(n) != ours[part][n]]
-                    different = f"{part} {', '.join(names)}"
-                raise DroptrackError(
-                    f"{path}: is of another run, with other {different}; give the same options"
-                )
-        missing = [
-            i for i in range(len(data["counts"])) if not (self._frames / f"{i:06d}.png").exists()
-        ]
+        """Resume from the checkpoint; raises DroptrackError where it is not of this run."""
+        data = read_checkpoint(self._checkpoint)
+        other = _difference(json.loads(str(data["about"])), json.loads(json.dumps(self._about)))
+        if other:
+            raise DroptrackError(
+                f"{self._checkpoint}: is of another run, with other {other}; give the same options"
+            )
+        missing = [i for i in range(len(data["counts"])) if not self._frame(i).exists()]
         if missing:
             raise DroptrackError(
                 f"{self.out}: frame {missing[0]} of the run is missing, as the run is complete or "
                 "files were removed; run anew in another folder"
             )
-        self.truth = list(np.split(data["truth"], np.cumsum(data["counts"])[:-1]))
+        self.ground_truth = list(np.split(data["truth"], np.cumsum(data["counts"])[:-1]))
         self.checks = data["checks"].tolist()
         self.check_names = data["check_names"].tolist()
-        prefix = "state_"
         self.simulation.load(
-            {k.removeprefix(prefix): v for k, v in data.items() if k.startswith(prefix)}
+            {k.removeprefix(STATE): v for k, v in data.items() if k.startswith(STATE)}
         )
 
-    def _finish(self) -> None:
-        """Video, truth, checks and pictures from what was recorded."""
-        n, camera = len(self.truth), self.recording.camera
-        width, height = (camera.scale * length for length in self.simulation.size)
-        info = VideoInfo(width, height, self.recording.fps, n)
-        with VideoWriter(self.out / "video.avi", info, "MJPG") as video:
-            for index in range(n):
-                path = self._frames / f"{index:06d}.png"
-                image = cv2.imread(str(path))
+    def _video_info(self) -> VideoInfo:
+        scale = self.recording.camera.scale
+        width, height = (scale * length for length in self.simulation.size)
+        return VideoInfo(width, height, self.recording.fps, self.n_frames)
+
+    def _write_video(self) -> None:
+        """The video, and its first, middle and last frame as images."""
+        with VideoWriter(self.out / "video.avi", self._video_info(), "MJPG") as video:
+            for index in range(self.n_frames):
+                image = cv2.imread(str(self._frame(index)))
                 if image is None:
-                    raise DroptrackError(f"{path}: cannot be read back")
+                    raise DroptrackError(f"{self._frame(index)}: cannot be read back")
                 video.write(np.asarray(image, np.uint8))
-        for name, index in zip(PICTURES, (0, n // 2, n - 1), strict=True):
-            shutil.copyfile(self._frames / f"{index:06d}.png", self.out / f"{name}.png")
+        places = (0, self.n_frames // 2, self.n_frames - 1)
+        for name, index in zip(SNAPSHOTS, places, strict=True):
+            shutil.copyfile(self._frame(index), self.out / f"{name}.png")
+
+    def _write_ground_truth(self) -> None:
+        info, recording = self._video_info(), self.recording
         about = {
             "made by": f"droptrack {__version__}, data_gen.simulate {self.simulation.name}",
             "parameters": "in parameters.json",
-            "video": f"video.avi, {width} x {height} px, {self.recording.fps} frames/s",
-            "steps": f"{self.recording.first} + {self.recording.every} a frame",
+            "video": f"video.avi, {info.width} x {info.height} px, {recording.fps} frames/s",
+            "steps": f"{recording.first} + {recording.every} a frame",
             "units": "px and px^2; centre of mass, box and area of where the droplet's fraction "
             "exceeds 1/2",
         }
-        rows = np.concatenate(self.truth)
+        rows = np.concatenate(self.ground_truth)
         ids, ones = rows[:, :2].astype(np.int64), np.ones(len(rows))
         table = sorted_trajectories(
-            ids[:, 0], ids[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:8], ones, ones.astype(bool)
+            frame=ids[:, 0],
+            track_id=ids[:, 1],
+            x=rows[:, 2],
+            y=rows[:, 3],
+            boxes=rows[:, 4:8],
+            scores=ones,
+            observed=ones.astype(bool),
         )  # rows are in order already
         with TrajectoryWriter(self.out / "truth.csv", about, (*BOX_CENTRE, "area")) as writer:
             writer.write(table, (rows[:, 4], rows[:, 5], rows[:, 8]))
+
+    def _write_checks(self) -> None:
         with (self.out / "checks.csv").open("w", newline="", encoding="utf-8") as file:
-            table_writer = csv.writer(file, lineterminator="\n")
-            table_writer.writerow(["frame", "step", *self.check_names])
-            table_writer.writerows(
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(["frame", "step", *self.check_names])
+            writer.writerows(
                 [int(row[0]), int(row[1]), *(f"{value:.8g}" for value in row[2:])]
                 for row in self.checks
             )
-        shutil.rmtree(self._frames)
+
+
+def read_checkpoint(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a checkpoint; raises DroptrackError where there is none or it is damaged."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            data = dict(stored)
+    except FileNotFoundError:
+        raise DroptrackError(f"{path}: no such file, so there is no run to resume") from None
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise DroptrackError(f"{path}: cannot be read as a checkpoint: {error}") from None
+    if "about" not in data:
+        raise DroptrackError(f"{path}: is no checkpoint of a simulation")
+    return data
+
+
+def _difference(theirs: dict[str, Any], ours: dict[str, Any]) -> str:
+    """The first part in which a run differs from ours, with its names; empty where none does."""
+    for part, mine in ours.items():
+        other = theirs.get(part)
+        if other == mine:
+            continue
+        if isinstance(mine, dict) and isinstance(other, dict):
+            return f"{part} {', '.join(name for name in mine if other.get(name) != mine[name])}"
+        return part
+    return ""
 
 
 @contextlib.contextmanager

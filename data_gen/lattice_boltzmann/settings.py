@@ -1,4 +1,4 @@
-"""What the simulations' commands share: parameters by name, the device, the compiled engines."""
+"""What the simulations' commands share: parameters by name, the device, the solvers."""
 
 import importlib
 import importlib.util
@@ -11,7 +11,7 @@ from droptrack.errors import DroptrackError
 
 P = TypeVar("P")
 Device = Literal["auto", "cpu", "cuda"]
-ENGINES = {"cpu": "engine", "cuda": "cuda_engine"}  # a file of each model's folder
+SOLVERS = {"cpu": "solver", "cuda": "cuda_solver"}  # a file of each model's folder
 
 
 def changed(params: P, settings: Iterable[str]) -> P:
@@ -36,28 +36,20 @@ def changed(params: P, settings: Iterable[str]) -> P:
     return replace(params, **values)  # type: ignore[type-var]
 
 
-def compiled(module: str, threads: int = 0) -> Any:
-    """A module of compiled kernels. Raises DroptrackError where Numba is not installed."""
-    try:
-        numba: Any = importlib.import_module("numba")
-    except ImportError:
-        raise DroptrackError(
-            "simulations need Numba: pip install 'droptrack[simulate]' (or numba)"
-        ) from None
-    if threads:
-        most = numba.config.NUMBA_NUM_THREADS
-        if threads > most:
-            raise DroptrackError(f"--threads {threads}: this machine has {most}")
-        numba.set_num_threads(threads)
-    return importlib.import_module(f"data_gen.lattice_boltzmann.{module}")
+def use_threads(n: int) -> None:
+    """Run the solvers' loops on n threads of the CPU, 0 for all.
+
+    Raises DroptrackError where there are fewer, or Numba is not installed.
+    """
+    _numba_module("cpu_threads").use_threads(n)
 
 
-def engine(model: str, device: Device) -> Any:
-    """The Engine class of `color_gradient` or `free_energy` for a device, `cpu` or `cuda`."""
-    return compiled(f"{model}.{ENGINES[device]}").Engine
+def solver_class(model: str, device: Device) -> Any:
+    """The class Solver of `color_gradient` or `free_energy` for a device, `cpu` or `cuda`."""
+    return _numba_module(f"{model}.{SOLVERS[device]}").Solver
 
 
-def usable_device(device: Device, say: Callable[[str], None]) -> Device:
+def usable_device(device: Device, say: Callable[[str], object]) -> Device:
     """`cpu` or `cuda`, as wanted; for `auto` the GPU where there is one that works.
 
     `auto` tells `say` why a GPU for which numba-cuda is installed is not used. Raises
@@ -73,10 +65,21 @@ def usable_device(device: Device, say: Callable[[str], None]) -> Device:
             "--device cuda needs numba-cuda: pip install 'droptrack[simulate-cuda]'"
         )
     try:
-        compiled("cuda_device").device_name()
+        _numba_module("cuda_device").device_name()
     except DroptrackError as error:
         if device == "cuda":
             raise
         say(f"not used: {error}")
         return "cpu"
     return "cuda"
+
+
+def _numba_module(name: str) -> Any:
+    """A module of this package that imports Numba. Raises DroptrackError where that is missing."""
+    try:
+        importlib.import_module("numba")
+    except ImportError:
+        raise DroptrackError(
+            "simulations need Numba: pip install 'droptrack[simulate]' (or numba)"
+        ) from None
+    return importlib.import_module(f"data_gen.lattice_boltzmann.{name}")

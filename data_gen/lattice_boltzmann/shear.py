@@ -1,87 +1,79 @@
-"""Command: a multi-core emulsion between walls that move against each other (appendix B)."""
+"""Cores in a shell between walls that move against each other (appendix B)."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Iterable
 
 import numpy as np
-import typer
 from scipy import ndimage
 
 from data_gen.lattice_boltzmann import lattice
-from data_gen.lattice_boltzmann.camera import Camera
 from data_gen.lattice_boltzmann.free_energy import reference as fe
-from data_gen.lattice_boltzmann.recording import Recorder, Recording
-from data_gen.lattice_boltzmann.settings import Device, changed, compiled, engine, usable_device
+from data_gen.lattice_boltzmann.settings import Device, changed
+from data_gen.lattice_boltzmann.simulation import Simulation
 from droptrack.data.arrays import Floats
 from droptrack.errors import DroptrackError
-
-if TYPE_CHECKING:
-    from data_gen.lattice_boltzmann.free_energy.engine import Engine
 
 CORE_DISTANCE = {1: 0.0, 2: 18.0, 3: 21.0, 4: 24.0}  # of the centres from the middle
 STEPS = {"small": 80_000, "paper": 150_000}  # about half a turn and a whole one
 
+# beyond these a run counts as unstable
+MAX_DENSITY_CHANGE = 0.2
+MAX_VELOCITY = 0.3
+MAX_FIELD = 2.0  # times psi_0
 
-class Shear:
-    """The simulation as the recorder sees it."""
+
+def shear_parameters(cores: int, settings: Iterable[str] = ()) -> fe.Params:
+    """The paper's parameters with 1 to 4 cores, and with `name=value` settings applied.
+
+    Raises DroptrackError for impossible ones.
+    """
+    params = changed(fe.Params(cores=cores, core_distance=CORE_DISTANCE[cores]), settings)
+    if params.cores < 1:
+        raise DroptrackError("cores 0: a video needs one or more")
+    return params
+
+
+class Shear(Simulation[fe.Params, fe.State]):
+    """A multi-core emulsion in shear."""
 
     name = "shear"
+    model = "free_energy"
 
     def __init__(self, params: fe.Params, state: fe.State, device: Device = "cpu") -> None:
-        self.params = params
-        self.parameters: Mapping[str, object] = asdict(params)
+        super().__init__(params, state, device)
         self._start = fe.masses(fe.initial_state(params))
-        self._make: type[Engine] = engine("free_energy", device)
-        self._engine: Engine = self._make(params, state)
 
-    @property
-    def step(self) -> int:
-        """Steps done."""
-        return self._engine.state.step
-
-    @property
-    def device(self) -> str:
-        """What it runs on."""
-        return self._engine.device
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height in nodes."""
-        return self.params.width, self.params.height
-
-    def run(self, steps: int) -> None:
-        """Advance."""
-        self._engine.run(steps)
+    @classmethod
+    def initial_state(cls, params: fe.Params) -> fe.State:
+        """Round cores in a round shell, at rest."""
+        return fe.initial_state(params)
 
     def patches(self) -> list[tuple[Floats, Floats]]:
         """The cores."""
-        return fe.patches(self.params, self._engine.state)
+        return fe.patches(self.params, self.state)
 
     def shade(self) -> Floats:
         """White cores in a black shell on white."""
-        return fe.shade(self.params, self._engine.state)
+        return fe.shade(self.params, self.state)
 
     def unstable(self) -> str | None:
         """Values that are not finite, or fast, or far from where the model holds."""
-        state = self._engine.state
+        state = self.state
         rho = lattice.density(state.f)
         if not (np.isfinite(rho).all() and np.isfinite(state.outer).all()):
             return "values that are not finite"
-        if abs(rho / self.params.rho_0 - 1).max() > 0.2:
+        if abs(rho / self.params.rho_0 - 1).max() > MAX_DENSITY_CHANGE:
             return f"density from {rho.min():.3g} to {rho.max():.3g}"
         speed = np.hypot(*lattice.momentum(state.f)).max() / self.params.rho_0
-        if speed > 0.3:
+        if speed > MAX_VELOCITY:
             return f"velocity {speed:.3g}"
         highest = max((core.max() for core in state.cores), default=0.0)
-        if not highest < 2 * self.params.psi_0:
+        if not highest < MAX_FIELD * self.params.psi_0:
             return f"a field of {highest:.3g}, psi_0 is {self.params.psi_0:g}"
         return None
 
     def checks(self) -> dict[str, float]:
-        """Largest drift of a mass, density, velocity, and the pieces of the worst core."""
-        state = self._engine.state
+        """Maximum drift of a mass, density, velocity, and the pieces of the worst core."""
+        state = self.state
         rho = lattice.density(state.f)
         u = fe.velocity(state, fe.forces(self.params, state)[0])
         pieces = [ndimage.label(p > 0.5)[1] for p, _ in self.patches()]
@@ -94,51 +86,3 @@ class Shear:
             "pieces": float(max(pieces, default=0)),
             "droplets": float(sum(n > 0 for n in pieces)),
         }
-
-    def finished(self) -> bool:
-        """Never before the last step."""
-        return False
-
-    def arrays(self) -> dict[str, Any]:
-        """The state, for a checkpoint."""
-        return dict(vars(self._engine.state))
-
-    def load(self, arrays: Any) -> None:
-        """Go on from a checkpoint's state."""
-        state = fe.State(**(dict(arrays) | {"step": int(arrays["step"])}))
-        self._engine = self._make(self.params, state)
-
-
-def shear(
-    out: Annotated[Path, typer.Option(help="Folder for the video, the truth and all else.")],
-    cores: Annotated[int, typer.Option(min=1, max=4)] = 4,
-    size: Annotated[
-        Literal["small", "paper"], typer.Option(help="Half a turn, or a whole one.")
-    ] = "small",
-    steps: Annotated[int | None, typer.Option(min=1, help="Of shear, after the rest.")] = None,
-    every: Annotated[int, typer.Option(min=1, help="Steps a frame.")] = 500,
-    scale: Annotated[int, typer.Option(help="Pixels a lattice node.")] = 1,
-    blur: Annotated[float, typer.Option(help="Sigma of the camera's blur, px.")] = 0.0,
-    noise: Annotated[float, typer.Option(help="Sigma of its noise, grey levels.")] = 0.0,
-    uneven: Annotated[float, typer.Option(help="How much darker a corner is, 0..1.")] = 0.0,
-    fps: Annotated[int, typer.Option(min=1)] = 25,
-    seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
-    device: Annotated[Device, typer.Option(help="auto: a GPU where one works.")] = "cpu",
-    threads: Annotated[int, typer.Option(min=0, help="Of the CPU; 0: all.")] = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the checkpoint.")] = False,
-    change: Annotated[
-        list[str] | None, typer.Option("--set", help="A parameter, such as viscosity=1.2.")
-    ] = None,
-) -> None:
-    """Cores in a shell in shear: white cores in a black shell, turning clockwise."""
-    params = fe.Params(cores=cores, core_distance=CORE_DISTANCE[cores])
-    params = changed(params, change or [])
-    if params.cores < 1:
-        raise DroptrackError("cores 0: a video needs one or more")
-    camera = Camera(scale, blur, noise, uneven, seed)
-    last = params.rest_steps + (steps or STEPS[size])
-    recording = Recording(params.rest_steps, last, every, fps, camera)
-    compiled("free_energy.engine", threads)
-    device = usable_device(device, lambda text: typer.echo(text, err=True))
-    simulation = Shear(params, fe.initial_state(params), device)
-    typer.echo(Recorder(simulation, out, recording).run(resume=resume))

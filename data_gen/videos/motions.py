@@ -1,16 +1,14 @@
-"""Command: droplets that are hard to follow, as truth and as a detector's faulty output.
+"""Droplets that are hard to track: their ground truth and a detector's faulty output.
 
-There are no pictures: a tracker sees only boxes. Speeds are in droplet diameters a frame.
+There are no images: a tracker sees only boxes. Speeds are in droplet diameters per frame.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 
 from data_gen.videos.sine import place_droplets
 from droptrack.data.arrays import Floats
@@ -20,22 +18,23 @@ from droptrack.data.trajectories import Trajectories, sorted_trajectories, write
 from droptrack.errors import DroptrackError
 from droptrack.version import __version__
 
-Flow = Callable[[Floats], Floats]  # places (N, 2) -> velocities (N, 2), px a frame
+Flow = Callable[[Floats], Floats]  # places (N, 2) -> velocities (N, 2), px per frame
 
 WIDTH, HEIGHT = 1200.0, 600.0
-CLEARANCE = 1.1  # least distance of droplets at the start, in diameters
+CLEARANCE = 1.1  # minimum distance of droplets at the start, in diameters
 HEXAGONAL_SPACING = 1.05  # diameters
 DISORDER = 0.03  # of a packing's places, in spacings
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A kind of motion: its flow, the droplets in the picture, their diameter in px, the frames."""
+    """A kind of motion, the droplets that take part, and a detector's faults."""
 
     kind: str
-    speed: float = 0.3
-    droplets: int = 410
-    diameter: float = 20.0
+    _: KW_ONLY
+    speed: float = 0.3  # diameters per frame, at most
+    droplets: int = 410  # in the image
+    diameter: float = 20.0  # px
     frames: int = 100
     missing: float = 0.0  # share of droplets without a box, each frame
     false: float = 0.0  # share of boxes without a droplet
@@ -43,7 +42,10 @@ class Motion:
 
 
 class Kind(StrEnum):
-    """What the droplets do."""
+    """What the droplets do; `filled` is a packing all over the image.
+
+    A lattice without disorder has no answer but its edge, so packings have some.
+    """
 
     sine = "sine"  # the paper's paths (Eq. D1)
     crossing = "crossing"  # two swarms through each other
@@ -52,9 +54,8 @@ class Kind(StrEnum):
     channel = "channel"  # Poiseuille's parabola: droplets enter and leave
     vortices = "vortices"  # Taylor and Green's
     growing = "growing"  # a channel in which half of them double their size, half halve it
-    packing = "packing"  # a dense hexagonal patch that moves by half a spacing a frame
-    filled = "filled"  # the same, all over the picture
-    # a lattice without disorder has no answer but its edge
+    packing = "packing"  # a dense hexagonal patch that moves by half a spacing per frame
+    filled = "filled"
 
 
 MOTIONS = {
@@ -75,7 +76,7 @@ MOTIONS = {
 
 
 def scattered(rng: np.random.Generator, motion: Motion, length: float) -> Floats:
-    """Places (N, 2), as dense as wanted, in a strip of the picture's height from -length on.
+    """Places (N, 2), as dense as wanted, in a strip of the image's height from -length on.
 
     A hexagonal lattice, each place moved at random as far as it can without touching others.
     """
@@ -110,7 +111,7 @@ def carried(places: Floats, flow: Flow, n_frames: int, steps: int = 8) -> Floats
 
 
 def flow_of(kind: str, speed: float) -> Flow:
-    """The velocity field of a kind of motion; `speed` in px a frame."""
+    """The velocity field of a kind of motion; `speed` in px per frame."""
 
     def flow(at: Floats) -> Floats:
         x, y = at[:, 0], at[:, 1]
@@ -128,61 +129,82 @@ def flow_of(kind: str, speed: float) -> Flow:
 
 
 def move(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats]:
-    """Paths (N, T, 2) and diameters (N, T) of the droplets, px, in and around the picture."""
-    kind, n_frames = motion.kind, motion.frames
-    speed = motion.speed * motion.diameter
-    if kind == Kind.sine:
+    """Paths (N, T, 2) and diameters (N, T) of the droplets, px, in and around the image."""
+    if motion.kind == Kind.sine:
         size = (int(WIDTH), int(HEIGHT))
         paths, radii = place_droplets(
-            rng, motion.droplets, size, n_frames, (16.0, 30.0), (5.0, 5.0, 5.0)
+            rng, motion.droplets, size, motion.frames, (16.0, 30.0), (5.0, 5.0, 5.0)
         )
-        return paths, np.repeat(2 * radii[:, None], n_frames, axis=1)
-    spacing = HEXAGONAL_SPACING * motion.diameter
-    if kind in (Kind.packing, Kind.filled):
-        side = np.sqrt(motion.droplets) * spacing
-        step = spacing / 2
-        places = (
-            lattice(spacing, 30, 30 + side, 60, 60 + side)
-            if kind == Kind.packing
-            else lattice(spacing, -step * n_frames, WIDTH, 0, HEIGHT)
-        )
-        places = places + rng.normal(0, DISORDER * spacing, places.shape)
-        paths = places[:, None] + np.arange(n_frames)[:, None] * [step, 0.0]
-    elif kind == Kind.crossing:
-        half = replace(motion, droplets=motion.droplets // 2)
-        swarms = [scattered(rng, half, 0) for _ in range(2)]
-        t = np.arange(n_frames)[:, None]
-        ways = np.array([[1.0, 0.25], [-1.0, 0.25]]) * speed
-        paths = np.concatenate([s[:, None] + t * way for s, way in zip(swarms, ways, strict=True)])
+        return paths, np.repeat(2 * radii[:, None], motion.frames, axis=1)
+    if motion.kind in (Kind.packing, Kind.filled):
+        paths = packing_paths(rng, motion)
+    elif motion.kind == Kind.crossing:
+        paths = crossing_paths(rng, motion)
     else:
-        length = 0 if kind == Kind.vortices else speed * n_frames
-        paths = carried(scattered(rng, motion, length), flow_of(kind, speed), n_frames)
-    if kind == Kind.vortices:  # without those that go out and come back
-        inside = (paths > motion.diameter) & (paths < [WIDTH, HEIGHT] - np.array(motion.diameter))
-        paths = paths[inside.all(axis=(1, 2))]
-    diameters = motion.diameter * rng.uniform(0.9, 1.1, len(paths))[:, None]
-    growth = rng.choice([-1, 1], len(paths))[:, None] if kind == Kind.growing else 0
-    if kind == Kind.growing:
-        diameters = 0.8 * diameters
-    grown = diameters * 2.0 ** (growth * np.linspace(-0.5, 0.5, n_frames))
-    return paths, np.broadcast_to(grown, paths.shape[:2])
+        paths = carried_paths(rng, motion)
+    return paths, sizes(rng, motion, len(paths))
 
 
-def truth_of(paths: Floats, diameters: Floats) -> Trajectories:
-    """Those droplets that are wholly in the picture."""
+def packing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
+    """A hexagonal packing with some disorder, that moves by half a spacing per frame."""
+    spacing = HEXAGONAL_SPACING * motion.diameter
+    side, step = np.sqrt(motion.droplets) * spacing, spacing / 2
+    places = (
+        lattice(spacing, 30, 30 + side, 60, 60 + side)
+        if motion.kind == Kind.packing
+        else lattice(spacing, -step * motion.frames, WIDTH, 0, HEIGHT)
+    )
+    places = places + rng.normal(0, DISORDER * spacing, places.shape)
+    return np.asarray(places[:, None] + np.arange(motion.frames)[:, None] * [step, 0.0])
+
+
+def crossing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
+    """Two swarms, half of the droplets each, that move through each other."""
+    half = replace(motion, droplets=motion.droplets // 2)
+    swarms = [scattered(rng, half, 0) for _ in range(2)]
+    t = np.arange(motion.frames)[:, None]
+    ways = np.array([[1.0, 0.25], [-1.0, 0.25]]) * (motion.speed * motion.diameter)
+    return np.concatenate([s[:, None] + t * way for s, way in zip(swarms, ways, strict=True)])
+
+
+def carried_paths(rng: np.random.Generator, motion: Motion) -> Floats:
+    """Scattered droplets carried by a flow; in vortices only those that stay in the image.
+
+    The others would go out and come back.
+    """
+    kind, speed = motion.kind, motion.speed * motion.diameter
+    length = 0 if kind == Kind.vortices else speed * motion.frames
+    paths = carried(scattered(rng, motion, length), flow_of(kind, speed), motion.frames)
+    if kind != Kind.vortices:
+        return paths
+    inside = (paths > motion.diameter) & (paths < [WIDTH, HEIGHT] - np.array(motion.diameter))
+    return paths[inside.all(axis=(1, 2))]
+
+
+def sizes(rng: np.random.Generator, motion: Motion, n: int) -> Floats:
+    """Diameters (n, T): all a little different; `growing` ones double or halve."""
+    diameters = motion.diameter * rng.uniform(0.9, 1.1, n)[:, None]
+    if motion.kind != Kind.growing:
+        return np.repeat(diameters, motion.frames, axis=1)
+    growth = rng.choice([-1, 1], n)[:, None] * np.linspace(-0.5, 0.5, motion.frames)
+    return np.asarray(0.8 * diameters * 2.0**growth)
+
+
+def ground_truth_of(paths: Floats, diameters: Floats) -> Trajectories:
+    """Those droplets that are wholly in the image."""
     margin = diameters[..., None] / 2
-    there = ((paths >= margin) & (paths <= [WIDTH, HEIGHT] - margin)).all(axis=2)
-    droplet, frame = np.nonzero(there)
-    size = diameters[there]
-    boxes = np.column_stack([paths[there], size, size])
+    whole = ((paths >= margin) & (paths <= [WIDTH, HEIGHT] - margin)).all(axis=2)
+    droplet, frame = np.nonzero(whole)
+    size = diameters[whole]
+    boxes = np.column_stack([paths[whole], size, size])
     return sorted_trajectories(
-        frame.astype(np.int64),
-        droplet.astype(np.int64) + 1,
-        boxes[:, 0],
-        boxes[:, 1],
-        boxes,
-        np.ones(len(size)),
-        np.ones(len(size), bool),
+        frame=frame.astype(np.int64),
+        track_id=droplet.astype(np.int64) + 1,
+        x=boxes[:, 0],
+        y=boxes[:, 1],
+        boxes=boxes,
+        scores=np.ones(len(size)),
+        observed=np.ones(len(size), bool),
     )
 
 
@@ -203,26 +225,14 @@ def detect(rng: np.random.Generator, truth: Trajectories, motion: Motion) -> lis
 
 
 def make(motion: Motion, seed: int) -> tuple[Trajectories, list[Detections]]:
-    """The truth of a motion and what a detector finds of it in each frame."""
+    """The ground truth of a motion and what a detector finds of it in each frame."""
     rng = np.random.default_rng(seed)
-    truth = truth_of(*move(rng, motion))
+    truth = ground_truth_of(*move(rng, motion))
     return truth, detect(rng, truth, motion)
 
 
-def motions(
-    out: Annotated[Path, typer.Option(help="Folder for detections.txt and truth.csv.")],
-    kind: Annotated[Kind, typer.Option(help="What the droplets do.")] = Kind.vortices,
-    speed: Annotated[float, typer.Option(min=0, help="Diameters a frame, at most.")] = 0.3,
-    droplets: Annotated[int, typer.Option(min=1, help="In the picture.")] = 300,
-    diameter: Annotated[float, typer.Option(min=1, help="px")] = 20.0,
-    frames: Annotated[int, typer.Option(min=1)] = 100,
-    missing: Annotated[float, typer.Option(min=0, max=1, help="Share not detected.")] = 0.0,
-    false: Annotated[float, typer.Option(min=0, max=1, help="Share of false ones.")] = 0.0,
-    jitter: Annotated[float, typer.Option(min=0, help="Of a box, in diameters.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-) -> None:
-    """Detections of droplets that are hard to follow, without a video, and their truth."""
-    motion = Motion(kind, speed, droplets, diameter, frames, missing, false, jitter)
+def write_motion(out: Path, motion: Motion, seed: int) -> int:
+    """Write detections.txt and truth.csv to a folder; returns the number of droplets."""
     truth, found = make(motion, seed)
     out.mkdir(parents=True, exist_ok=True)
     about = {
@@ -232,5 +242,4 @@ def motions(
     }
     write_trajectories(out / "truth.csv", truth, about)
     write_detections(out / "detections.txt", found)
-    n = len(np.unique(truth.track_id))
-    typer.echo(f"{out / 'detections.txt'}: {n} droplets, {frames} frames; truth in truth.csv")
+    return len(np.unique(truth.track_id))

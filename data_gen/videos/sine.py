@@ -3,11 +3,10 @@
 x(t + 1) = x(t) + A,  y(t + 1) = y(t) + B sin(k x(t))    (Eq. D1)
 """
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 
 from data_gen.scenes.shapes import WHITE, draw_ellipses
 from droptrack.data.arrays import Floats
@@ -20,8 +19,29 @@ from droptrack.version import __version__
 GAP_PX = 4.0  # between droplets, and to the upper and lower edge
 
 
+@dataclass(frozen=True, kw_only=True)
+class SineVideo:
+    """Everything that decides the video. Raises DroptrackError for impossible radii."""
+
+    droplets: int = 12
+    frames: int = 200
+    width: int = 1200
+    height: int = 600
+    radius: tuple[float, float] = (16.0, 30.0)  # minimum and maximum, px
+    a: float = 5.0  # step in x, px per frame
+    b: float = 5.0  # maximum step in y, px per frame
+    k: float = 5.0  # radians per px
+    fps: int = 25
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        low, high = self.radius
+        if not 2 <= low <= high:
+            raise DroptrackError(f"--radius {low:g} {high:g}: should rise from 2 px or more")
+
+
 def sine_path(start: Floats, n_frames: int, a: float, b: float, k: float) -> Floats:
-    """Positions (T, 2) px of a droplet from `start` (2,) by Eq. D1; k in radians a pixel."""
+    """Positions (T, 2) px of a droplet from `start` (2,) by Eq. D1; k in radians per px."""
     x = start[0] + a * np.arange(n_frames)
     y = start[1] + b * np.concatenate([[0.0], np.cumsum(np.sin(k * x[:-1]))])
     return np.column_stack([x, y])
@@ -37,7 +57,7 @@ def place_droplets(
 ) -> tuple[Floats, Floats]:
     """Paths (N, T, 2) and radii (N,) of droplets that start in the left half and never touch.
 
-    `size`: width and height of the picture; `motion`: A, B and k of Eq. D1. Raises
+    `size`: width and height of the image; `motion`: A, B and k of Eq. D1. Raises
     DroptrackError if no room is found.
     """
     width, height = size
@@ -63,60 +83,49 @@ def place_droplets(
     )
 
 
-def truth_of(paths: Floats, radii: Floats, width: int) -> Trajectories:
-    """The truth of paths (N, T, 2): rows while any of a droplet is in the picture.
+def ground_truth_of(paths: Floats, radii: Floats, width: int) -> Trajectories:
+    """Trajectories of paths (N, T, 2): rows while any of a droplet is in the image.
 
     Score 1 while all of it is, else 0: a droplet cut off by the edge need not be found.
     """
     n, n_frames = paths.shape[:2]
     droplet, frame = np.meshgrid(np.arange(n), np.arange(n_frames), indexing="ij")
     x, y, r = paths[..., 0], paths[..., 1], np.repeat(radii[:, None], n_frames, axis=1)
-    there = (x - r < width) & (x + r > 0)
+    visible = (x - r < width) & (x + r > 0)
     whole = (x - r >= 0) & (x + r <= width)
     boxes = np.stack([x, y, 2 * r, 2 * r], axis=-1)
     return sorted_trajectories(
-        frame[there].astype(np.int64),
-        droplet[there].astype(np.int64) + 1,
-        x[there],
-        y[there],
-        boxes[there],
-        whole[there].astype(float),
-        np.ones(int(there.sum()), bool),
+        frame=frame[visible].astype(np.int64),
+        track_id=droplet[visible].astype(np.int64) + 1,
+        x=x[visible],
+        y=y[visible],
+        boxes=boxes[visible],
+        scores=whole[visible].astype(float),
+        observed=np.ones(int(visible.sum()), bool),
     )
 
 
-def sine(
-    out: Annotated[Path, typer.Option(help="Folder for video.avi and truth.csv.")],
-    droplets: Annotated[int, typer.Option(min=1)] = 12,
-    frames: Annotated[int, typer.Option(min=1)] = 200,
-    width: Annotated[int, typer.Option(min=32)] = 1200,
-    height: Annotated[int, typer.Option(min=32)] = 600,
-    radius: Annotated[tuple[float, float], typer.Option(help="Least and largest, px.")] = (16, 30),
-    a: Annotated[float, typer.Option("-A", help="Step in x a frame, px.")] = 5.0,
-    b: Annotated[float, typer.Option("-B", help="Largest step in y a frame, px.")] = 5.0,
-    k: Annotated[float, typer.Option("-k", help="Radians a pixel.")] = 5.0,
-    fps: Annotated[int, typer.Option(min=1)] = 25,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-) -> None:
-    """Droplets on the predefined paths of the paper's test video (Eq. D1)."""
-    if not 2 <= radius[0] <= radius[1]:
-        raise DroptrackError(f"--radius {radius[0]:g} {radius[1]:g}: should rise from 2 px or more")
-    rng = np.random.default_rng(seed)
-    paths, radii = place_droplets(rng, droplets, (width, height), frames, radius, (a, b, k))
+def write_sine_video(out: Path, settings: SineVideo) -> None:
+    """Write video.avi and truth.csv to a folder; raises DroptrackError for too many droplets."""
+    s = settings
+    rng = np.random.default_rng(s.seed)
+    paths, radii = place_droplets(
+        rng, s.droplets, (s.width, s.height), s.frames, s.radius, (s.a, s.b, s.k)
+    )
     out.mkdir(parents=True, exist_ok=True)
-    truth = truth_of(paths, radii, width)
     about = {
         "made by": f"droptrack {__version__}, data_gen.simulate sine",
-        "parameters": f"A={a:g} B={b:g} k={k:g} seed={seed} radius={radius[0]:g}..{radius[1]:g}",
-        "video": f"video.avi, {width} x {height} px, {fps} frames/s",
+        "parameters": f"A={s.a:g} B={s.b:g} k={s.k:g} seed={s.seed} "
+        f"radius={s.radius[0]:g}..{s.radius[1]:g}",
+        "video": f"video.avi, {s.width} x {s.height} px, {s.fps} frames/s",
         "units": "px; score 0 marks droplets cut off by the picture's edge",
     }
-    info = VideoInfo(width, height, fps, frames)
+    info = VideoInfo(s.width, s.height, s.fps, s.frames)
     with progress_bar("frames") as progress, VideoWriter(out / "video.avi", info, "MJPG") as video:
-        for t in progress.track(range(frames), description="sine", total=frames):
-            canvas = np.zeros((height, width), np.uint8)
+        for t in progress.track(range(s.frames), description="sine", total=s.frames):
+            canvas = np.zeros((s.height, s.width), np.uint8)
             discs = np.column_stack([paths[:, t], radii, radii, np.zeros(len(radii))])
-            draw_ellipses(canvas, discs[np.abs(discs[:, 0] - width / 2) < width / 2 + radii], WHITE)
+            visible = np.abs(discs[:, 0] - s.width / 2) < s.width / 2 + radii
+            draw_ellipses(canvas, discs[visible], WHITE)
             video.write(np.repeat(canvas[..., None], 3, axis=2))
-    write_trajectories(out / "truth.csv", truth, about)
-    typer.echo(f"{out / 'video.avi'}: {droplets} droplets, {frames} frames; truth in truth.csv")
+    write_trajectories(out / "truth.csv", ground_truth_of(paths, radii, s.width), about)

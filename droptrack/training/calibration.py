@@ -7,7 +7,7 @@ import numpy as np
 
 from droptrack.data.arrays import Float32s
 from droptrack.data.darknet_dataset import DataSet, read_image
-from droptrack.data.degradation import photographed
+from droptrack.data.degradation import degrade
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector, Engine
 from droptrack.errors import DroptrackError
@@ -104,7 +104,7 @@ def _degraded(labelled: Iterable[LabelledImage]) -> Iterator[LabelledImage]:
     """The same images degraded, each time in the same way."""
     rng = np.random.default_rng(0)
     for image, ground_truth in labelled:
-        yield photographed(image, rng), ground_truth
+        yield degrade(image, rng), ground_truth
 
 
 def _frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
@@ -113,7 +113,7 @@ def _frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
     for path in with_progress(paths, len(paths), stage, "images"):
         frame = read_image(path)
         yield frame
-        yield photographed(frame, rng)
+        yield degrade(frame, rng)
 
 
 def prunings(cfg: Cfg, weights: Weights, images: Sequence[Path], error: float) -> Iterator[Pruning]:

@@ -17,7 +17,7 @@ from droptrack.data.arrays import Floats
 from droptrack.errors import DroptrackError
 
 numba = pytest.importorskip("numba")
-from data_gen.lattice_boltzmann.color_gradient.engine import Engine
+from data_gen.lattice_boltzmann.color_gradient.solver import Solver
 
 
 def small(**changes: Any) -> Params:
@@ -45,14 +45,14 @@ def rough_state(params: Params) -> cg.State:
 def test_compiled_steps_are_the_reference_to_rounding() -> None:
     params = small()
     state = rough_state(params)
-    engine = Engine(params, state)
-    engine.run(40)
+    solver = Solver(params, state)
+    solver.run(40)
     for _ in range(40):
         state = cg.step(params, state)
-    assert engine.state.step == state.step == 47
+    assert solver.state.step == state.step == 47
     for name in ("f", "emulsion", "labels", "origins"):
         np.testing.assert_allclose(
-            getattr(engine.state, name), getattr(state, name), rtol=0, atol=1e-10
+            getattr(solver.state, name), getattr(state, name), rtol=0, atol=1e-10
         )
 
 
@@ -61,10 +61,10 @@ def test_result_depends_neither_on_threads_nor_on_how_steps_are_divided() -> Non
     states = []
     for threads, parts in ((1, (40,)), (numba.config.NUMBA_NUM_THREADS, (1, 7, 32))):
         numba.set_num_threads(threads)
-        engine = Engine(params, rough_state(params))
+        solver = Solver(params, rough_state(params))
         for steps in parts:
-            engine.run(steps)
-        states.append(engine.state)
+            solver.run(steps)
+        states.append(solver.state)
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     for name in ("f", "emulsion", "labels"):
         assert (getattr(states[0], name) == getattr(states[1], name)).all()
@@ -75,9 +75,9 @@ def test_windows_do_not_change_what_happens() -> None:
     narrow = replace(wide, window=50)
     states = []
     for params in (wide, narrow):
-        engine = Engine(params, cg.initial_state(params))
-        engine.run(200)
-        states.append(engine.state)
+        solver = Solver(params, cg.initial_state(params))
+        solver.run(200)
+        states.append(solver.state)
     np.testing.assert_allclose(cg.label_sum(states[0]), cg.label_sum(states[1]), atol=1e-4)
     np.testing.assert_allclose(states[0].f, states[1].f, atol=1e-5)
 
@@ -104,14 +104,14 @@ def test_collision_keeps_mass_adds_the_force_and_the_stress_of_the_interfaces() 
 def test_fluxes_of_droplets_film_and_outer_fluid_add_up_to_nothing() -> None:
     params = small()
     state = rough_state(params)
-    engine = Engine(params, state)
+    solver = Solver(params, state)
     rho = lattice.density(state.f)
     sums = cg.label_sum(state) * rho
     mass = cg.masses(state)
-    engine.run(1)
-    after = cg.masses(engine.state)
+    solver.run(1)
+    after = cg.masses(solver.state)
     np.testing.assert_allclose(after, mass, rtol=1e-6)  # not even into walls or corners
-    assert cg.label_sum(engine.state).max() < 1.02 * (sums / np.maximum(rho, 1e-9)).max()
+    assert cg.label_sum(solver.state).max() < 1.02 * (sums / np.maximum(rho, 1e-9)).max()
 
 
 def drop_in_emulsion(radius: float, stretch: float) -> tuple[Params, cg.State]:
@@ -133,9 +133,9 @@ def drop_in_emulsion(radius: float, stretch: float) -> tuple[Params, cg.State]:
 def test_laplace_law_mass_and_spurious_currents(radius: float, tolerance: float) -> None:
     params, state = drop_in_emulsion(radius, 1.1)
     mass = cg.masses(state)
-    engine = Engine(params, state)
-    engine.run(6000 if radius < 20 else 10000)
-    state = engine.state
+    solver = Solver(params, state)
+    solver.run(6000 if radius < 20 else 10000)
+    state = solver.state
     np.testing.assert_allclose(cg.masses(state), mass, rtol=1e-6)
     pressure = lattice.density(state.f) / 3
     y, x = np.mgrid[: params.height, : params.width] + 0.5
@@ -157,9 +157,9 @@ def test_poiseuille_flow_between_inlet_and_outlet() -> None:
         droplets=0, height=40, throat_height=40, throat_length=0, inlet_length=60,
         outlet_length=100, u_in=5e-3, rest_steps=0, ramp_steps=1, window=40,
     )  # fmt: skip
-    engine = Engine(params, cg.initial_state(params))
-    engine.run(12000)
-    rho, u = cg.velocity(engine.state.f, np.zeros((2, 40, 160)), solid_nodes(params))
+    solver = Solver(params, cg.initial_state(params))
+    solver.run(12000)
+    rho, u = cg.velocity(solver.state.f, np.zeros((2, 40, 160)), solid_nodes(params))
     y = np.arange(40) + 0.5
     profile = (rho * u[0])[:, 110]
     assert profile.mean() == pytest.approx(params.u_in, rel=5e-3)  # all that enters arrives
@@ -203,7 +203,7 @@ def test_a_droplet_is_carried_with_the_flow() -> None:
     profile = np.zeros((2, height, length))
     y = np.arange(height) + 0.5
     profile[0] = (6 * mean * y * (height - y) / height**2)[:, None]
-    engine = Engine(
+    solver = Solver(
         params, replace(state, f=lattice.equilibrium(np.ones((height, length)), profile))
     )
 
@@ -212,10 +212,10 @@ def test_a_droplet_is_carried_with_the_flow() -> None:
         mask = c > 0.5
         return np.asarray(np.mean(np.nonzero(mask), axis=1) + origin)
 
-    engine.run(1500)
-    start = centre(engine.state)
-    engine.run(1000)
-    moved = centre(engine.state) - start
+    solver.run(1500)
+    start = centre(solver.state)
+    solver.run(1000)
+    moved = centre(solver.state) - start
     assert moved[0] == pytest.approx(0, abs=0.05)
     assert 0.9 * 15 < moved[1] < 15  # a little slower than the flow in the middle, at 0.015
 

@@ -10,7 +10,7 @@ from droptrack.data.arrays import Bools, Floats
 from droptrack.errors import DroptrackError
 
 numba = pytest.importorskip("numba")
-from data_gen.lattice_boltzmann.free_energy.engine import Engine
+from data_gen.lattice_boltzmann.free_energy.solver import Solver
 
 SMALL: dict[str, Any] = {"core_radius": 7.0, "shell_radius": 22.0, "rest_steps": 0, "window": 40}
 
@@ -43,14 +43,14 @@ def rough_state(params: fe.Params, seed: int = 0) -> fe.State:
 def test_compiled_steps_are_the_reference_to_rounding(window: int, order: int) -> None:
     params = small(window=window, flux_order=order, epsilon=0.01, rest_steps=30, force_x=1e-6)
     state = rough_state(params)
-    engine = Engine(params, state)
-    engine.run(60)  # the walls start at 30, the windows move at 50
+    solver = Solver(params, state)
+    solver.run(60)  # the walls start at 30, the windows move at 50
     for _ in range(60):
         state = fe.step(params, state)
-    assert engine.state.step == state.step == 73
+    assert solver.state.step == state.step == 73
     for name in ("f", "outer", "cores", "origins"):
         np.testing.assert_allclose(
-            getattr(engine.state, name), getattr(state, name), rtol=0, atol=1e-13
+            getattr(solver.state, name), getattr(state, name), rtol=0, atol=1e-13
         )
 
 
@@ -59,10 +59,10 @@ def test_result_depends_neither_on_threads_nor_on_how_steps_are_divided() -> Non
     states = []
     for threads, parts in ((1, (40,)), (numba.config.NUMBA_NUM_THREADS, (1, 7, 32))):
         numba.set_num_threads(threads)
-        engine = Engine(params, rough_state(params))
+        solver = Solver(params, rough_state(params))
         for steps in parts:
-            engine.run(steps)
-        states.append(engine.state)
+            solver.run(steps)
+        states.append(solver.state)
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     for name in ("f", "outer", "cores"):
         assert (getattr(states[0], name) == getattr(states[1], name)).all()
@@ -114,9 +114,9 @@ def test_couette_and_poiseuille_flow(magic: float) -> None:
     params = fe.Params(
         width=16, height=height, cores=0, rest_steps=0, force_x=force_x, magic=magic, v_bottom=-0.02
     )
-    engine = Engine(params, fe.initial_state(params))
-    engine.run(8000)
-    u = lattice.momentum(engine.state.f)[0] + force_x / 2
+    solver = Solver(params, fe.initial_state(params))
+    solver.run(8000)
+    u = lattice.momentum(solver.state.f)[0] + force_x / 2
     y = np.arange(height) + 0.5
     poiseuille = force_x * y * (height - y) / (2 * params.viscosity)
     expected = -0.02 + 0.03 * y / height + poiseuille
@@ -144,9 +144,9 @@ def stretched_drop(radius: float) -> tuple[fe.Params, fe.State]:
 def test_laplace_law_of_a_core_and_of_the_shell(radius: float, tolerance: float) -> None:
     params, state = stretched_drop(radius)
     before = fe.masses(state)
-    engine = Engine(params, state)
-    engine.run(8000 if radius < 20 else 12000)
-    state = engine.state
+    solver = Solver(params, state)
+    solver.run(8000 if radius < 20 else 12000)
+    state = solver.state
     np.testing.assert_allclose(fe.masses(state) / before, 1, atol=1e-11)
     pressure = lattice.density(state.f) / 3
     y, x = np.mgrid[: params.height, : params.width] + 0.5 - params.height / 2
@@ -164,9 +164,9 @@ def test_laplace_law_of_a_core_and_of_the_shell(radius: float, tolerance: float)
 
 def test_spurious_currents_around_a_drop_left_to_rest() -> None:
     params, stirred = stretched_drop(15)
-    engine = Engine(params, replace(fe.initial_state(params), f=stirred.f))
-    engine.run(4000)
-    u = fe.velocity(engine.state, fe.forces(params, engine.state)[0])
+    solver = Solver(params, replace(fe.initial_state(params), f=stirred.f))
+    solver.run(4000)
+    u = fe.velocity(solver.state, fe.forces(params, solver.state)[0])
     assert params.viscosity * np.hypot(*u).max() / params.surface_tension < 1e-3
 
 
@@ -178,13 +178,13 @@ def test_a_carried_drop_keeps_its_shape_and_follows_the_flow(order: int, lag: fl
         state = fe.initial_state(params)
         u = np.zeros((2, 60, 64))
         u[0] = v
-        engine = Engine(params, replace(state, f=lattice.equilibrium(2 * np.ones((60, 64)), u)))
-        ((mask, origin),) = masks(params, engine.state)
+        solver = Solver(params, replace(state, f=lattice.equilibrium(2 * np.ones((60, 64)), u)))
+        ((mask, origin),) = masks(params, solver.state)
         start = origin[1] + np.nonzero(mask)[1].mean()
-        engine.run(4000)  # 1.25 times around
-        ((mask, origin),) = masks(params, engine.state)
+        solver.run(4000)  # 1.25 times around
+        ((mask, origin),) = masks(params, solver.state)
         shifts.append(origin[1] + np.nonzero(mask)[1].mean() - start)
-        core = engine.state.cores[0] > 0.2
+        core = solver.state.cores[0] > 0.2
         areas.append((mask.sum(), np.ptp(np.nonzero(core)[0]), np.ptp(np.nonzero(core)[1])))
     assert shifts[0] == pytest.approx(0, abs=1e-6)
     assert shifts[1] == pytest.approx(80, rel=lag)
@@ -193,20 +193,20 @@ def test_a_carried_drop_keeps_its_shape_and_follows_the_flow(order: int, lag: fl
 
 def test_cores_turn_clockwise_with_the_walls_and_mass_stays() -> None:
     params = fe.Params(rest_steps=0)
-    engine = Engine(params, fe.initial_state(params))
-    before = fe.masses(engine.state)
+    solver = Solver(params, fe.initial_state(params))
+    before = fe.masses(solver.state)
     angles = []
     for _ in range(4):
         centre = np.array(
-            [np.mean(np.nonzero(m), axis=1) + o for m, o in masks(params, engine.state)]
+            [np.mean(np.nonzero(m), axis=1) + o for m, o in masks(params, solver.state)]
         )
         y, x = (centre + 0.5 - [params.height / 2, params.width / 2]).T
         angles.append(np.unwrap(np.arctan2(y, x)))
-        engine.run(700)
+        solver.run(700)
     turned = np.diff(np.unwrap(np.array(angles), axis=0), axis=0).mean(axis=1)
     assert (turned[1:] < 0).all()
     assert turned.sum() < np.radians(-1)
-    np.testing.assert_allclose(fe.masses(engine.state) / before, 1, atol=1e-11)
+    np.testing.assert_allclose(fe.masses(solver.state) / before, 1, atol=1e-11)
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,15 @@
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from data_gen.make_dataset import Recipe, make_dataset
-from data_gen.scenes.arrangements import SCENES
+from data_gen.make_dataset import app
+from data_gen.scenes.dataset import Recipe, make_dataset
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.data.darknet_dataset import read_data_file, read_ground_truth, read_image
-from droptrack.data.degradation import photographed
 from droptrack.errors import DroptrackError
 
 
@@ -25,16 +27,16 @@ def make(folder: Path, recipe: Recipe, workers: int = 1) -> None:
 
 
 def test_same_seed_gives_the_same_bytes_whatever_the_number_of_workers(tmp_path: Path) -> None:
-    recipe = Recipe("all", 40, 5, seed=3)
+    recipe = Recipe(scene="all", images=40, valid=5, seed=3)
     make(tmp_path / "one", recipe)
     make(tmp_path / "two", recipe, workers=2)
     assert digest(tmp_path / "one") == digest(tmp_path / "two")
-    make(tmp_path / "other", Recipe("all", 40, 5, seed=4))
+    make(tmp_path / "other", Recipe(scene="all", images=40, valid=5, seed=4))
     assert digest(tmp_path / "one") != digest(tmp_path / "other")
 
 
 def test_labels_read_back_are_the_boxes_that_were_drawn(tmp_path: Path) -> None:
-    make(tmp_path / "data", Recipe("tiny", 4, 1, seed=8))
+    make(tmp_path / "data", Recipe(scene="tiny", images=4, valid=1, seed=8))
     data = read_data_file(tmp_path / "data" / "obj.data")
     assert data.names == ("droplet",)
     assert (len(data.train), len(data.valid)) == (4, 1)
@@ -47,7 +49,7 @@ def test_labels_read_back_are_the_boxes_that_were_drawn(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_data_set_is_completed_to_the_same_bytes(tmp_path: Path) -> None:
-    recipe = Recipe("c", 70, 3, seed=1)
+    recipe = Recipe(scene="c", images=70, valid=3, seed=1)
     make(tmp_path / "whole", recipe)
     progress = make_dataset(tmp_path / "cut", recipe, 1)
     next(progress), next(progress)
@@ -58,48 +60,49 @@ def test_an_interrupted_data_set_is_completed_to_the_same_bytes(tmp_path: Path) 
     assert digest(tmp_path / "cut") == digest(tmp_path / "whole")
 
 
-def test_a_share_of_the_pictures_is_spoilt_and_no_label(tmp_path: Path) -> None:
-    make(tmp_path / "drawn", Recipe("c", 40, 4, seed=1))
-    make(tmp_path / "spoilt", Recipe("c", 40, 4, seed=1, spoilt=0.5))
-    drawn, spoilt = digest(tmp_path / "drawn"), digest(tmp_path / "spoilt")
-    changed = [name for name in drawn if drawn[name] != spoilt[name]]
-    pictures = [name for name in changed if name.endswith(".jpg")]
-    assert 12 <= len(pictures) <= 32
-    assert set(changed) - set(pictures) == {"dataset.json"}
+def test_a_share_of_the_images_is_degraded_and_no_label(tmp_path: Path) -> None:
+    make(tmp_path / "drawn", Recipe(scene="c", images=40, valid=4, seed=1))
+    make(tmp_path / "degraded", Recipe(scene="c", images=40, valid=4, seed=1, degraded=0.5))
+    drawn, degraded = digest(tmp_path / "drawn"), digest(tmp_path / "degraded")
+    changed = [name for name in drawn if drawn[name] != degraded[name]]
+    images = [name for name in changed if name.endswith(".jpg")]
+    assert 12 <= len(images) <= 32
+    assert set(changed) - set(images) == {"dataset.json"}
 
 
-def test_a_data_set_from_before_pictures_could_be_spoilt_is_completed(tmp_path: Path) -> None:
-    recipe = Recipe("c", 3, 1, seed=1)
+def test_a_data_set_from_before_images_could_be_degraded_is_completed(tmp_path: Path) -> None:
+    recipe = Recipe(scene="c", images=3, valid=1, seed=1)
     make(tmp_path, recipe)
     manifest = tmp_path / "dataset.json"
     manifest.write_text(manifest.read_text().replace('"spoilt": 0.0,', ""))
     assert "spoilt" not in manifest.read_text()
     make(tmp_path, recipe)
-    with pytest.raises(DroptrackError, match="of other spoilt"):
-        make(tmp_path, Recipe("c", 3, 1, seed=1, spoilt=1))
+    with pytest.raises(DroptrackError, match="of other degraded"):
+        make(tmp_path, replace(recipe, degraded=1))
 
 
-def test_flaws_are_the_same_in_all_colours() -> None:
-    picture = SCENES["c"](np.random.default_rng(0)).image
-    grey = photographed(picture, np.random.default_rng(4))
-    colour = photographed(np.repeat(picture[..., None], 3, axis=2), np.random.default_rng(4))
-    assert grey.dtype == np.uint8
-    assert (colour == grey[..., None]).all()
-    assert (grey != picture).mean() > 0.02
+def test_the_former_name_of_an_option_still_works_and_is_hidden(tmp_path: Path) -> None:
+    for option in ("--degraded", "--spoilt"):
+        size = ["--images", "6", "--valid", "1", "--workers", "1"]
+        arguments = ["--scene", "c", *size, option, "0.5", "--out", str(tmp_path / option)]
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 0, result.output
+    assert digest(tmp_path / "--degraded") == digest(tmp_path / "--spoilt")
+    assert "--spoilt" not in CliRunner().invoke(app, ["--help"]).output
 
 
 def test_another_data_set_is_not_overwritten(tmp_path: Path) -> None:
-    make(tmp_path, Recipe("a", 2, 1, seed=1))
+    make(tmp_path, Recipe(scene="a", images=2, valid=1, seed=1))
     before = digest(tmp_path)
     with pytest.raises(DroptrackError, match="data set of other images"):
-        make(tmp_path, Recipe("a", 3, 1, seed=1))
+        make(tmp_path, Recipe(scene="a", images=3, valid=1, seed=1))
     assert digest(tmp_path) == before
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(DroptrackError, match="not empty"):
-        make(tmp_path, Recipe("a", 2, 1, seed=1))
+        make(tmp_path, Recipe(scene="a", images=2, valid=1, seed=1))
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
@@ -112,7 +115,7 @@ def test_a_folder_with_other_things_is_left_alone(tmp_path: Path) -> None:
     ],
 )
 def test_a_damaged_label_file_is_named(tmp_path: Path, line: str, problem: str) -> None:
-    make(tmp_path, Recipe("a", 1, 1, seed=1))
+    make(tmp_path, Recipe(scene="a", images=1, valid=1, seed=1))
     (tmp_path / "train" / "000000.txt").write_text(line)
     with pytest.raises(DroptrackError, match=rf"000000\.txt.*{problem}"):
         read_ground_truth(tmp_path / "train" / "000000.jpg", 1200, 600)

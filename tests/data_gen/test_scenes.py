@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data_gen.scenes.arrangements import HEIGHT, SCENES, WIDTH, Scene, _bending
+from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH, Scene, _bending
 from droptrack.data.detections import iou_matrix
 
 MANY = range(25)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_gen.lattice_boltzmann.camera import Camera, photograph
-from data_gen.lattice_boltzmann.recording import Recorder, Recording, truth_rows
+from data_gen.lattice_boltzmann.camera import Camera, capture
+from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder, ground_truth_rows
 from data_gen.simulate import app
 from droptrack.data.trajectories import read_trajectories
 from droptrack.data.video import Video
@@ -77,13 +77,13 @@ def test_shear_writes_video_truth_parameters_and_pictures(tmp_path: Path) -> Non
 
 def test_truth_is_that_of_a_drawn_droplet() -> None:
     simulation = tiny_constriction()
-    state = simulation._engine.state
+    state = simulation.state
     labels = np.zeros_like(state.labels)
     labels[0, 10:20, 5:25] = 1.0  # 20 wide, 10 high
     labels[1, 0, 0] = 0.3  # gone
     labels[2, 7, 3] = 0.9
     simulation.load(simulation.arrays() | {"labels": labels, "step": 5})
-    rows = truth_rows(simulation, 4, scale=2)
+    rows = ground_truth_rows(simulation, 4, scale=2)
     y_0, x_0 = state.origins[0]
     expected = [4, 1, 2 * (x_0 + 15), 2 * (60 - y_0 - 15)]
     np.testing.assert_allclose(rows[0], [*expected, *expected[2:], 40, 20, 800])
@@ -95,11 +95,16 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
     def simulation() -> Shear | Constriction:
         if kind == "constriction":
             return tiny_constriction()
-        params = fe.Params(70, 60, 2, 7, 22, 9, window=40, rest_steps=10)
+        params = fe.Params(
+            width=70, height=60, cores=2, core_radius=7, shell_radius=22, core_distance=9,
+            window=40, rest_steps=10,
+        )  # fmt: skip
         return Shear(params, fe.initial_state(params))
 
-    recording = Recording(20, 110, 15, 25, Camera(noise=4.0, seed=3), checkpoint_frames=2)
-    Recorder(simulation(), tmp_path / "whole", recording).run(resume=False)
+    recording = Recording(
+        first=20, last=110, every=15, fps=25, camera=Camera(noise=4.0, seed=3), checkpoint_frames=2
+    )
+    SimulationRecorder(simulation(), tmp_path / "whole", recording).run(resume=False)
 
     class StoppedError(Exception):
         pass
@@ -114,8 +119,8 @@ def test_a_stopped_run_resumes_bit_for_bit(tmp_path: Path, kind: str) -> None:
 
     stopped.run = run_until_killed  # type: ignore[method-assign]
     with pytest.raises(StoppedError):
-        Recorder(stopped, tmp_path / "parts", recording).run(resume=False)
-    Recorder(simulation(), tmp_path / "parts", recording).run(resume=True)
+        SimulationRecorder(stopped, tmp_path / "parts", recording).run(resume=False)
+    SimulationRecorder(simulation(), tmp_path / "parts", recording).run(resume=True)
     assert truth_and_video(tmp_path / "parts") == truth_and_video(tmp_path / "whole")
     states = [np.load(tmp_path / name / "checkpoint.npz") for name in ("parts", "whole")]
     for name in states[0].files:
@@ -132,30 +137,32 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path: Path) -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
     simulation.run = run_and_interrupt  # type: ignore[method-assign]
-    recording = Recording(0, 400, 20, 25, Camera(), checkpoint_frames=100)
+    recording = Recording(
+        first=0, last=400, every=20, fps=25, camera=Camera(), checkpoint_frames=100
+    )
     with pytest.raises(KeyboardInterrupt):
-        Recorder(simulation, tmp_path, recording).run(resume=False)
+        SimulationRecorder(simulation, tmp_path, recording).run(resume=False)
     with np.load(tmp_path / "checkpoint.npz") as kept:
         assert len(kept["counts"]) == 10  # the frame at 180 too
-    text = Recorder(tiny_constriction(), tmp_path, recording).run(resume=True)
+    text = SimulationRecorder(tiny_constriction(), tmp_path, recording).run(resume=True)
     assert "21 frames" in text
 
 
 def test_an_unstable_run_stops_says_where_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     simulation = tiny_constriction()
-    recording = Recording(0, 400, 10, 25, Camera(), checkpoint_frames=1)
+    recording = Recording(first=0, last=400, every=10, fps=25, camera=Camera(), checkpoint_frames=1)
     run = simulation.run
 
     def blow_up(steps: int) -> None:
         run(steps)
         if simulation.step >= 30:
-            f = simulation._engine.state.f.copy()
+            f = simulation.state.f.copy()
             f[1, 30, 30] = np.nan
             simulation.load(simulation.arrays() | {"f": f})
 
     simulation.run = blow_up  # type: ignore[method-assign]
     with pytest.raises(DroptrackError, match=r"unstable at step 30: values that are not finite"):
-        Recorder(simulation, tmp_path, recording).run(resume=False)
+        SimulationRecorder(simulation, tmp_path, recording).run(resume=False)
     with np.load(tmp_path / "checkpoint.npz") as kept:
         assert kept["state_step"] == 20
         assert np.isfinite(kept["state_f"]).all()
@@ -182,10 +189,10 @@ def test_camera_effects_change_the_picture_and_leave_the_truth(tmp_path: Path) -
     assert (first.x == second.x).all()
     assert (first.boxes == second.boxes).all()
     shade = np.ones((20, 30))
-    image = photograph(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)
+    image = capture(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)
     assert image[:4, :4].mean() > 1.6 * image[-4:, -4:].mean()
-    assert (image == photograph(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)).all()
-    assert (image != photograph(shade, Camera(noise=5.0, uneven=0.5, seed=1), 8)).any()
+    assert (image == capture(shade, Camera(noise=5.0, uneven=0.5, seed=1), 7)).all()
+    assert (image != capture(shade, Camera(noise=5.0, uneven=0.5, seed=1), 8)).any()
 
 
 @pytest.mark.parametrize(

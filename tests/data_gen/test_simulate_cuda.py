@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes
 from data_gen.lattice_boltzmann.free_energy import reference as fe
-from data_gen.lattice_boltzmann.settings import engine, usable_device
+from data_gen.lattice_boltzmann.settings import solver_class, usable_device
 from data_gen.simulate import app
 from droptrack.data.trajectories import read_trajectories
 from droptrack.errors import DroptrackError
@@ -126,7 +126,7 @@ def test_colour_gradient_is_the_reference_to_rounding(size: str) -> None:
     params, steps = (tiny_constriction(), 2) if size == "tiny" else (small_constriction(), 60)
     state = rough_emulsion(params)
     before = state.origins.copy()
-    running = engine("color_gradient", "cuda")(params, state)
+    running = solver_class("color_gradient", "cuda")(params, state)
     running.run(1)
     running.run(steps - 1)
     for _ in range(steps):
@@ -144,7 +144,7 @@ def test_free_energy_is_the_reference_to_rounding(size: str, window: bool, order
     params = make(flux_order=order) if window else make(flux_order=order, window=0)
     state = rough_cores(params)
     before = state.origins.copy()
-    running = engine("free_energy", "cuda")(params, state)
+    running = solver_class("free_energy", "cuda")(params, state)
     running.run(1)
     running.run(steps - 1)
     for _ in range(steps):  # the windows move at step 50, the walls at 51
@@ -160,7 +160,7 @@ def test_two_runs_on_a_gpu_are_equal_bit_for_bit(model: str) -> None:
     for parts in ((60,), (1, 7, 52)):
         params: Any = small_constriction() if model == "color_gradient" else small_shear()
         state: Any = rough_emulsion(params) if model == "color_gradient" else rough_cores(params)
-        running = engine(model, "cuda")(params, state)
+        running = solver_class(model, "cuda")(params, state)
         for steps in parts:
             running.run(steps)
         states.append(running.state)
@@ -184,7 +184,7 @@ def test_what_one_device_began_the_other_ends(model: str, size: str) -> None:
     for devices in (("cpu", "cpu", "cpu"), ("cpu", "cuda", "cpu")):
         state: Any = rough_emulsion(params) if model == "color_gradient" else rough_cores(params)
         for device in devices:
-            running = engine(model, device)(params, state)
+            running = solver_class(model, device)(params, state)
             running.run(1 if size == "tiny" else 20)
             state = running.state
         ends.append(state)
@@ -194,7 +194,7 @@ def test_what_one_device_began_the_other_ends(model: str, size: str) -> None:
 @on_gpu
 def test_the_flow_alone_runs_without_droplets() -> None:
     params = tiny_constriction(droplets=0)
-    running = engine("color_gradient", "cuda")(params, cg.initial_state(params))
+    running = solver_class("color_gradient", "cuda")(params, cg.initial_state(params))
     running.run(20)
     state = cg.initial_state(params)
     for _ in range(20):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.data.detections import Detections, iou_matrix, labels
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.data.stage_times import StageTimes

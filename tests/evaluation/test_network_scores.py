@@ -8,7 +8,7 @@ import cv2
 import pytest
 from typer.testing import CliRunner
 
-from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes.dataset import Recipe, make_dataset
 from droptrack.data.darknet_dataset import read_data_file, read_image, read_scenes
 from droptrack.evaluate import app
 
@@ -16,7 +16,7 @@ from droptrack.evaluate import app
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("validation") / "data"
-    for _ in make_dataset(folder, Recipe("tiny", 2, 40, seed=9), 1):
+    for _ in make_dataset(folder, Recipe(scene="tiny", images=2, valid=40, seed=9), 1):
         pass
     return folder / "obj.data"
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from data_gen.scenes.shapes import BLACK, WHITE, draw_contour, draw_ellipses, ellipse_boxes
-from droptrack.data.degradation import photographed
+from droptrack.data.degradation import degrade
 from droptrack.measurement.centre_of_mass import centres_of_mass
 
 Floats = NDArray[np.float64]
@@ -163,7 +163,7 @@ def test_compiled_loops_do_the_same_as_arrays_to_the_last_bit(
     for seed in range(12):
         rng = np.random.default_rng([7, seed])
         scene = SCENES[kind](rng)
-        image = [scene.image, 255 - scene.image, photographed(scene.image, rng)][seed % 3]
+        image = [scene.image, 255 - scene.image, degrade(scene.image, rng)][seed % 3]
         boxes = shaken(rng, scene.boxes) * [1, 1, *rng.choice([0.8, 1, 1.2], 2)]
         boxes = np.concatenate([boxes, wrong(rng, scene.boxes)])
         centres, measured = centres_of_mass(frame_of(image), boxes)

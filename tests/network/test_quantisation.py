@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from bench.random_network import random_weights
-from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes.dataset import Recipe, make_dataset
 from droptrack.__main__ import app
 from droptrack.detection.engine_choice import Network, Precision, choose_detector
 from droptrack.errors import DroptrackError
@@ -163,7 +163,7 @@ def test_eight_bits_that_cost_too_much_are_refused(
 def test_the_command_calibrates_on_a_data_set(tmp_path: Path, error: str, pruned: bool) -> None:
     """An error that costs too much is made smaller, down to none."""
     data = tmp_path / "data"
-    for _ in make_dataset(data, Recipe("b", 12, 12, 1), workers=1):
+    for _ in make_dataset(data, Recipe(scene="b", images=12, valid=12, seed=1), workers=1):
         pass
     weights = tmp_path / "mine.weights"
     shutil.copy(BUNDLED_WEIGHTS, weights)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_gen.scenes.arrangements import SCENES
+from data_gen.scenes.scene_kinds import SCENES
 from droptrack.__main__ import app
 from droptrack.data.detections import labels
 from droptrack.data.frames import Frame

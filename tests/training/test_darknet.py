@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_gen.make_dataset import Recipe, make_dataset
+from data_gen.scenes.dataset import Recipe, make_dataset
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import convolutions, read_cfg
 from droptrack.network.darknet_weights import WEIGHTS_VERSION, Weights, read_weights, write_weights
@@ -106,7 +106,7 @@ def darknet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeDarknet:
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("a folder") / "data"
-    for _ in make_dataset(folder, Recipe("a", 16, 4, seed=2), 1):
+    for _ in make_dataset(folder, Recipe(scene="a", images=16, valid=4, seed=2), 1):
         pass
     return folder / "obj.data"
 

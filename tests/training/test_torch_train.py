@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
 from bench.random_network import random_weights
-from data_gen.make_dataset import Recipe, make_dataset, picture_source
+from data_gen.scenes.dataset import Recipe, image_source, make_dataset
 from droptrack.data.darknet_dataset import DataSet, read_data_file, read_image
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.network_scores import darknet_detector
@@ -41,7 +41,7 @@ SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     folder = tmp_path_factory.mktemp("data") / "a"
-    for _ in make_dataset(folder, Recipe("a", 24, 8, seed=2), 1):
+    for _ in make_dataset(folder, Recipe(scene="a", images=24, valid=8, seed=2), 1):
         pass
     return read_data_file(folder / "obj.data")
 
@@ -189,7 +189,7 @@ def test_training_stops_when_the_map_gets_no_better(data: DataSet, tmp_path: Pat
 
 def test_images_are_drawn_anew_and_the_same_after_a_resume(data: DataSet, tmp_path: Path) -> None:
     drawn: list[NDArray[np.float64]] = []
-    source = picture_source("tiny")
+    source = image_source("tiny")
 
     def draw(rng: np.random.Generator) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
         image, boxes = source(rng)
@@ -206,7 +206,7 @@ def test_images_are_drawn_anew_and_the_same_after_a_resume(data: DataSet, tmp_pa
     list(train(job(data, tmp_path, settings(iterations=6), resume=True, draw=draw)))
     assert len({boxes.tobytes() for boxes in drawn}) == 24  # none of the first 16 again
     with pytest.raises(DroptrackError, match="no scene nought; there are a, b"):
-        picture_source("nought")
+        image_source("nought")
 
 
 @pytest.mark.parametrize("bf16", [False, True])

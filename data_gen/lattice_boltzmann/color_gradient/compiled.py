@@ -1,4 +1,4 @@
-"""The colour-gradient model compiled for the CPU: the terms of color_gradient.py, fused by rows.
+"""The colour-gradient model compiled for the CPU: the terms of reference.py, fused by rows.
 
 As in free_energy each row is one thread's work, in pieces of PIECE nodes held in the
 slots of one small flat buffer, which LLVM vectorises. Of a droplet's window only the part is
@@ -13,14 +13,11 @@ collision and transport stay in one, though it is long.
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import config, njit, prange
+from numba import njit, prange
 from numpy.typing import NDArray
 
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.lattice import CX, CY, W
-
-# with TBB, which comes first where it is installed, each launch is slower than the one before
-config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
 
 PIECE = 128  # nodes worked on at once
 S = PIECE + 8  # stride of a slot of the buffer

@@ -1,4 +1,4 @@
-"""The colour-gradient model compiled for a GPU: the terms of color_gradient.py, a thread a node.
+"""The colour-gradient model compiled for a GPU: the terms of reference.py, a thread a node.
 
 A step is three launches: `add_up`, `collide`, `transport`. Each thread gathers what its own node
 of the grid needs, from its neighbours and from every droplet whose window covers it, always in the

@@ -1,4 +1,4 @@
-"""The free-energy model compiled for the CPU: the terms of free_energy.py, fused by rows.
+"""The free-energy model compiled for the CPU: the terms of reference.py, fused by rows.
 
 Each row of the grid is one thread's work from its own inputs, so results do not depend on the
 number of threads. Rows are worked off in pieces of PIECE nodes that are copied into slots of one
@@ -8,10 +8,7 @@ small flat buffer: LLVM then sees constant distances between all operands and ve
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import config, njit, prange
-
-# with TBB, which comes first where it is installed, each launch is slower than the one before
-config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
+from numba import njit, prange
 
 PIECE = 128  # nodes worked on at once
 S = PIECE + 8  # stride of a slot of the buffer: a piece and its two neighbours

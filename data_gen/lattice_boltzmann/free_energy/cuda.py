@@ -1,4 +1,4 @@
-"""The free-energy model compiled for a GPU: the terms of free_energy.py, a thread a node.
+"""The free-energy model compiled for a GPU: the terms of reference.py, a thread a node.
 
 A step is two launches: `collide`, `transport`. Each thread gathers what its own node of the grid
 needs, from its neighbours and from every core whose window covers it, always in the same order:

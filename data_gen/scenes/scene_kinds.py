@@ -13,7 +13,6 @@ overlap. Sizes are in px.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
@@ -28,6 +27,7 @@ from data_gen.scenes.shapes import (
     ellipse_boxes,
 )
 from droptrack.data.arrays import Floats
+from droptrack.data.degradation import add_noise, blur, light_unevenly, lower_contrast, to_pixels
 
 WIDTH, HEIGHT = 1200, 600
 
@@ -89,13 +89,13 @@ def dense_clusters(rng: np.random.Generator) -> Scene:
 def deformed_droplets(rng: np.random.Generator) -> Scene:
     """Scene d: clusters of polygonal droplets (two in three) or a sheared shell with its cores.
 
-    Blurred by up to 2.5 px; every second one as a poor camera sees it.
+    Blurred by up to 2.5 px; every second one degraded further.
     """
     canvas, boxes = _foam(rng) if rng.random() < 0.67 else _sheared_emulsion(rng)
-    sigma = rng.uniform(0, 2.5)
-    if sigma > 0.3:
-        cv2.GaussianBlur(canvas, (0, 0), sigma, dst=canvas)
-    return Scene(_poor_picture(rng, canvas) if rng.random() < 0.5 else canvas, boxes)
+    sigma_px = rng.uniform(0, 2.5)
+    if sigma_px > 0.3:
+        canvas = blur(canvas, sigma_px)
+    return Scene(_degraded(rng, canvas) if rng.random() < 0.5 else canvas, boxes)
 
 
 SCENES: dict[str, Callable[[np.random.Generator], Scene]] = {
@@ -251,15 +251,15 @@ def _cells(rng: np.random.Generator, points: Floats, radius: float, film: float)
     return np.asarray(radii)
 
 
-def _poor_picture(rng: np.random.Generator, canvas: Canvas) -> Canvas:
+def _degraded(rng: np.random.Generator, canvas: Canvas) -> Canvas:
     """Less contrast, light that falls off to one side, and noise of up to 12 grey levels."""
     dark, bright = rng.uniform(0, 60), rng.uniform(150, 255)
+    levels = lower_contrast(canvas.astype(np.float32), (bright - dark) / WHITE, dark)
     x, y = np.linspace(-1, 1, WIDTH, dtype=np.float32), np.linspace(-1, 1, HEIGHT, dtype=np.float32)
     tilt = rng.uniform(-0.15, 0.15, 2).astype(np.float32)
-    light = 1 + tilt[0] * x[None] + tilt[1] * y[:, None]
-    levels = (dark + canvas * np.float32((bright - dark) / WHITE)) * light  # (H, W)
-    levels += rng.standard_normal(levels.shape, np.float32) * np.float32(rng.uniform(0, 12))
-    return np.asarray(np.clip(levels, BLACK, WHITE), np.uint8)
+    levels = light_unevenly(levels, 1 + tilt[0] * x[None] + tilt[1] * y[:, None])
+    normal = rng.standard_normal(levels.shape, np.float32)
+    return to_pixels(add_noise(levels, normal, rng.uniform(0, 12)))
 
 
 def _sheared_emulsion(rng: np.random.Generator) -> tuple[Canvas, Floats]:

@@ -1,9 +1,9 @@
 """A running free-energy simulation: its state in the layout of the compiled kernels."""
 
 import numpy as np
-from numba import get_num_threads
 
 from data_gen.lattice_boltzmann import lattice
+from data_gen.lattice_boltzmann.cpu_threads import count_threads
 from data_gen.lattice_boltzmann.free_energy import reference as fe
 from data_gen.lattice_boltzmann.free_energy.compiled import RIM, Constants, advance
 from droptrack.data.arrays import Floats
@@ -26,7 +26,7 @@ def constants(params: fe.Params) -> Constants:
     return Constants(*map(float, values))
 
 
-class Engine:
+class Solver:
     """A running simulation: holds the fields in the kernels' layout."""
 
     device = "the CPU"
@@ -68,7 +68,7 @@ class Engine:
         outer, cores = advance(
             steps, f, np.empty_like(f), np.empty_like(f), outer, outer.copy(), outer_mu,
             cores, cores.copy(), cores_mu, columns, periodic, wall, u, self._constants,
-            4 * get_num_threads(),
+            4 * count_threads(),
         )  # fmt: skip
         inner = (slice(RIM, -RIM), slice(RIM, -RIM))
         fields = outer[inner].copy(), cores[(slice(None), *inner)].copy()

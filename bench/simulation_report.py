@@ -1,4 +1,4 @@
-"""What a simulated flow did, from its folder, ``python -m bench.flows DIR ...``.
+"""Report what a simulation did, from its folder, ``python -m bench.simulation_report DIR ...``.
 
 For shear: the angle that the cores have turned clockwise, the steps of a whole turn, how their
 areas and distances changed. For both: the extremes of all that was checked in every frame.

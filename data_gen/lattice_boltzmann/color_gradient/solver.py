@@ -3,13 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-from numba import get_num_threads
 from numpy.typing import NDArray
 
 from data_gen.lattice_boltzmann import lattice
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.color_gradient.compiled import Constants, Links, advance
 from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes, wall_push
+from data_gen.lattice_boltzmann.cpu_threads import count_threads
 from data_gen.lattice_boltzmann.lattice import CX, CY, OPPOSITE
 from droptrack.data.arrays import Bools, Floats
 
@@ -52,7 +52,7 @@ def constants(params: Params) -> Constants:
     return Constants(*map(float, values))
 
 
-class Engine:
+class Solver:
     """A running simulation: holds the fields in the kernels' layout."""
 
     device = "the CPU"
@@ -95,7 +95,7 @@ class Engine:
         e, labels = advance(
             steps, s.f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(),
             q, spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
-            self._links, np.array(inlet), self._constants, 8 * get_num_threads(),
+            self._links, np.array(inlet), self._constants, 8 * count_threads(),
         )  # fmt: skip
         inner = (slice(1, -1), slice(1, -1))
         fields = e[inner].copy(), labels[(slice(None), *inner)].copy()

@@ -5,10 +5,10 @@ from numba import cuda
 from data_gen.lattice_boltzmann.cuda_device import blocks_of, device_name
 from data_gen.lattice_boltzmann.free_energy import reference as fe
 from data_gen.lattice_boltzmann.free_energy.cuda import collide, transport
-from data_gen.lattice_boltzmann.free_energy.engine import constants
+from data_gen.lattice_boltzmann.free_energy.solver import constants
 
 
-class Engine:
+class Solver:
     """A running simulation: holds the fields on the GPU, where they stay until asked for.
 
     Every time that windows move, the state is asked for.

@@ -4,12 +4,12 @@ from numba import cuda
 
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
 from data_gen.lattice_boltzmann.color_gradient.cuda import add_up, collide, transport
-from data_gen.lattice_boltzmann.color_gradient.engine import constants
 from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes, wall_push
+from data_gen.lattice_boltzmann.color_gradient.solver import constants
 from data_gen.lattice_boltzmann.cuda_device import blocks_of, device_name, pinned
 
 
-class Engine:
+class Solver:
     """A running simulation: holds the fields on the GPU, where they stay until asked for.
 
     Only the droplets come to the host by themselves, each time that their windows move.

@@ -1,0 +1,161 @@
+"""Scenes drawn at random -> a Darknet data set, or images one by one for training."""
+
+import functools
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Generator
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH
+from droptrack.data.arrays import Floats, Pixels
+from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
+from droptrack.data.degradation import degrade
+from droptrack.data.files import write_text
+from droptrack.errors import DroptrackError
+
+JPEG_QUALITY = 95
+
+
+class SceneChoice(StrEnum):
+    """One scene, or a mixture of scenes that take turns."""
+
+    a = "a"
+    b = "b"
+    c = "c"
+    d = "d"
+    tiny = "tiny"  # the paper's data for YOLOv3-tiny
+    full = "full"  # the paper's data for YOLOv3
+    all = "all"  # what the bundled model was trained on
+
+
+FILE_KEYS = {"degraded": "spoilt"}  # names in dataset.json that are not a Recipe's
+MIXTURES = {"tiny": "ab", "full": "c", "all": "abccdd"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recipe:
+    """Everything that decides a data set's bytes."""
+
+    scene: str
+    images: int
+    valid: int
+    seed: int
+    degraded: float = 0.0  # share of the images
+    jpeg_quality: int = JPEG_QUALITY
+    format: int = 1  # to be raised when the same seed gives other images
+
+    def kinds(self) -> str:
+        """The letters of the scenes that take turns."""
+        return MIXTURES.get(self.scene, self.scene)
+
+
+def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
+    """Draw one image and write it and its labels; the label file last, whole, as a sign of success.
+
+    The image depends on the recipe, the split and the index only.
+    """
+    rng = np.random.default_rng([recipe.seed, ("train", "valid").index(split), index])
+    kinds = recipe.kinds()
+    scene = SCENES[kinds[index % len(kinds)]](rng)
+    path = folder / image_name(split, index)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, recipe.jpeg_quality]
+    degraded = rng.random() < recipe.degraded
+    image = degrade(scene.image, rng) if degraded else scene.image
+    path.write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
+    write_text(path.with_suffix(".txt"), label_text(scene.boxes, WIDTH, HEIGHT))
+
+
+def image_source(scene: str) -> Callable[[np.random.Generator], tuple[Pixels, Floats]]:
+    """What draws images (H, W, 3) and boxes (N, 4) px of a scene or mixture, for training.
+
+    Raises DroptrackError for a scene that does not exist.
+    """
+    if scene not in list(SceneChoice):
+        raise DroptrackError(f"no scene {scene}; there are {', '.join(SceneChoice)}")
+    return functools.partial(_draw_image, MIXTURES.get(scene, scene))
+
+
+def _draw_image(kinds: str, rng: np.random.Generator) -> tuple[Pixels, Floats]:
+    scene = SCENES[kinds[rng.integers(len(kinds))]](rng)
+    return np.repeat(scene.image[..., None], 3, axis=2), scene.boxes
+
+
+def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, None, None]:
+    """Write what a data set lacks; yields the number of its images, as that grows.
+
+    Raises DroptrackError if the folder holds something else.
+    """
+    _claim(folder, recipe)
+    counts = {"train": recipe.images, "valid": recipe.valid}
+    jobs = []
+    for split, count in counts.items():
+        (folder / split).mkdir(exist_ok=True)
+        there = {entry.name for entry in os.scandir(folder / split) if entry.name.endswith(".txt")}
+        jobs += [
+            (split, i) for i in range(count) if Path(image_name("", i)).stem + ".txt" not in there
+        ]
+    done = sum(counts.values()) - len(jobs)
+    yield done
+    chunks = [jobs[start : start + 32] for start in range(0, len(jobs), 32)]
+    if workers == 1:
+        for chunk in chunks:
+            done += _write_chunk((folder, recipe, chunk))
+            yield done
+    elif chunks:
+        with multiprocessing.Pool(workers) as pool:
+            for written in pool.imap_unordered(
+                _write_chunk, ((folder, recipe, chunk) for chunk in chunks)
+            ):
+                done += written
+                yield done
+    kinds = recipe.kinds()
+    scenes = {
+        image_name(split, i): kinds[i % len(kinds)]
+        for split in counts
+        for i in range(counts[split])
+    }
+    write_scenes(folder, scenes)
+    write_data_file(folder, ("droplet",), counts)
+
+
+def _write_chunk(job: tuple[Path, Recipe, list[tuple[str, int]]]) -> int:
+    folder, recipe, chunk = job
+    cv2.setNumThreads(1)
+    for split, index in chunk:
+        write_image(folder, recipe, split, index)
+    return len(chunk)
+
+
+def _claim(folder: Path, recipe: Recipe) -> None:
+    manifest = folder / "dataset.json"
+    if manifest.exists():
+        found = _read_manifest(manifest)
+        if found != recipe:
+            differing = [key for key, value in vars(recipe).items() if vars(found)[key] != value]
+            raise DroptrackError(
+                f"{folder}: holds a data set of other {', '.join(differing)}; "
+                "choose another folder with --out, or delete this one"
+            )
+    elif folder.exists() and any(folder.iterdir()):
+        raise DroptrackError(f"{folder}: is not empty and no data set; choose another with --out")
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        values = {FILE_KEYS.get(key, key): value for key, value in asdict(recipe).items()}
+        manifest.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+
+
+def _read_manifest(path: Path) -> Recipe:
+    names = {key: name for name, key in FILE_KEYS.items()}
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        return Recipe(**{names.get(key, key): value for key, value in values.items()})
+    except (ValueError, TypeError, AttributeError):
+        raise DroptrackError(
+            f"{path}: is damaged; delete {path.parent} or choose another"
+        ) from None

@@ -7,7 +7,7 @@ SEED ?= 0
 SPOILT ?= 0 # share of the training pictures as a bad camera shows them
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
-.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
+.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test docs
 
 setup: $(VENV)/.installed
 
@@ -80,3 +80,11 @@ check: dev
 
 test: check
 	$(BIN)/python -m pytest
+
+# the documentation site, in site/; --strict: a broken link is an error
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(PIP) -e '.[docs]'
+	touch $@

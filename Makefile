@@ -8,7 +8,7 @@ SPOILT ?= 0
 DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
-.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
+.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test docs
 
 setup: $(VENV)/.installed
 
@@ -81,3 +81,11 @@ check: dev
 
 test: check
 	$(BIN)/python -m pytest
+
+# the documentation site, in site/; --strict: a broken link is an error
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(PIP) -e '.[docs]'
+	touch $@

@@ -1,4 +1,4 @@
-"""What a droplet looks like, as a unit vector; galleries and their cosine distance.
+"""What a droplet looks like, as a unit vector.
 
 DeepSORT describes a crop by a network trained on pedestrians. Here it is what can be seen of a
 droplet: its grey levels on a small grid over the box, and its size.
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.data.arrays import Floats, Rows
+from droptrack.data.arrays import Floats
 from droptrack.data.frames import Frame, grey_plane
 
 GRID = 8  # cells a side
@@ -69,22 +69,6 @@ def _sample(
             cv2.remap(source, at_x, at_y, cv2.INTER_LINEAR).reshape(len(at_x) // k, k, k, -1)
         )
     return np.asarray(np.concatenate(parts).mean(axis=3), np.float64)
-
-
-def cosine_distances(
-    galleries: list[list[Floats]], descriptors: Floats, rows: Rows, columns: Rows
-) -> Floats:
-    """Smallest cosine distance (P,) of descriptors (M, D) to galleries, N lists of vectors (D,).
-
-    Of pairs: descriptor `columns` to gallery `rows`, which ascend.
-    """
-    distances = np.zeros(len(rows))
-    starts = np.searchsorted(rows, np.arange(len(galleries) + 1))
-    for gallery, start, end in zip(galleries, starts, starts[1:], strict=False):
-        if start < end:
-            likeness = np.array(gallery) @ descriptors[columns[start:end]].T
-            distances[start:end] = 1 - likeness.max(axis=0)
-    return distances
 
 
 # a frame and boxes (N, 4) -> unit descriptors (N, D)

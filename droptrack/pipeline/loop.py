@@ -15,7 +15,7 @@ from droptrack.detection.detector import Detector
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
-from droptrack.tracking.appearance import Describe
+from droptrack.tracking.appearance import DescriptorExtractor
 from droptrack.tracking.recorder import Recorder
 from droptrack.tracking.tracker import Tracker
 
@@ -28,7 +28,12 @@ class FrameTracker:
     """
 
     def __init__(
-        self, tracker: Tracker, describe: Describe, results: Results, *, live: bool = False
+        self,
+        tracker: Tracker,
+        describe: DescriptorExtractor,
+        results: Results,
+        *,
+        live: bool = False,
     ) -> None:
         self._tracker, self._describe, self._results = tracker, describe, results
         self._recorder = Recorder(tracker.delay + tracker.max_age)
@@ -70,7 +75,7 @@ def track_frames(
     frames: Iterable[tuple[int, Frame]],
     detector: Detector,
     tracker: Tracker,
-    describe: Describe,
+    describe: DescriptorExtractor,
     results: Results,
     *,
     batch: int = 1,

@@ -5,7 +5,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from droptrack.data.report import Value
-from droptrack.tracking.appearance import Describe, describe, describe_nothing
+from droptrack.tracking.appearance import DescriptorExtractor, describe, describe_nothing
 from droptrack.tracking.appearance_network import NetworkAppearance
 from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 from droptrack.tracking.droplet.parameters import DropletParameters
@@ -74,7 +74,7 @@ def make_tracker(
     return DropletTracker(own), settings
 
 
-def choose_descriptor(config: TrackerConfig) -> Describe:
+def choose_descriptor(config: TrackerConfig) -> DescriptorExtractor:
     """What gives a tracker its descriptors: a network of the user's, else grey levels and size.
 
     The droplet tracker without such a network gets none: it compares none then.

@@ -11,7 +11,8 @@ from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories
 from droptrack.evaluation.trajectory_scores import match
 from droptrack.tracking.appearance import describe_sizes
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.recorder import concatenated
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Tracker
 
 QUIET = {"PRINT_CONFIG": False}
@@ -31,11 +32,12 @@ class Score:
 
 def track(tracker: Tracker, frames: Sequence[Detections]) -> Trajectories:
     """The rows of a tracker that sees the sizes of boxes."""
-    recorder = Recorder(tracker.delay + tracker.max_age)
-    for index, found in enumerate(frames):
-        update = tracker.update(found.boxes, describe_sizes(found.boxes))
-        recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
-    return recorder.take_rest(unconfirmed=False).rows
+    session = TrackingSession(tracker)
+    parts = [
+        session.add_boxes(index, found, describe_sizes(found.boxes))
+        for index, found in enumerate(frames)
+    ]
+    return concatenated([*parts, session.finish()]).rows
 
 
 def score(truth: Trajectories, result: Trajectories) -> Score:

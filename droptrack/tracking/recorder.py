@@ -59,6 +59,20 @@ def concatenated(parts: Sequence[Recorded]) -> Recorded:
     return Recorded(concatenate([part.rows for part in parts]), measured)
 
 
+NO_ROWS = Recorded(
+    Trajectories(
+        frame=np.zeros(0, np.int64),
+        track_id=np.zeros(0, np.int64),
+        x=np.zeros(0),
+        y=np.zeros(0),
+        boxes=np.zeros((0, 4)),
+        scores=np.zeros(0),
+        observed=np.zeros(0, bool),
+    ),
+    np.zeros(0, bool),
+)
+
+
 class Recorder:
     """Collects rows; `hold` is the number of later frames that may change them.
 

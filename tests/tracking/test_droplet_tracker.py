@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from droptrack.data.detections import Detections
+from droptrack.data.detections import labels
 from droptrack.evaluation.trajectories import evaluate
 from droptrack.evaluation.trajectory_scores import assign
 from droptrack.tracking.appearance import describe_sizes
@@ -16,7 +16,8 @@ from droptrack.tracking.association import assign_greedy, assign_sparse
 from droptrack.tracking.droplet.noise import median
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.tracker import DropletTracker
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.recorder import concatenated
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Update
 from tests.tracking.constriction_detections import SEEDS, load
 
@@ -107,12 +108,13 @@ def test_a_duplicate_that_stays_is_a_droplet() -> None:
 def test_in_a_constriction_no_droplet_is_switched_missed_or_false(seed: int) -> None:
     """19 droplets, 155 frames; DeepSORT has 3, 0, 1, 1 switches and 40, 0, 4, 4 false ones."""
     frames, truth = load(seed)
-    tracker = DropletTracker(DropletParameters())
-    recorder = Recorder(tracker.delay + tracker.max_age)
-    for number, (found, centres) in enumerate(frames):
-        update = tracker.update(found.boxes, np.zeros((len(found), 0)))
-        recorder.add(number, found, centres, np.ones(len(found), bool), update)
-    summary = evaluate(truth, recorder.take_rest(unconfirmed=False).rows, 205).summary
+    session = TrackingSession(DropletTracker(DropletParameters()))
+    parts = [
+        session.add(number, found, centres, np.ones(len(found), bool), np.zeros((len(found), 0)))
+        for number, (found, centres) in enumerate(frames)
+    ]
+    rows = concatenated([*parts, session.finish()]).rows
+    summary = evaluate(truth, rows, 205).summary
     assert [summary[k] for k in ("n_switches", "n_false", "n_missed")] == [0, 0, 0]
     assert summary["n_tracks"] == 19
 
@@ -212,17 +214,15 @@ def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
 def test_finished_tracks_leave_the_memory() -> None:
     """600 droplets come and go in 1,500 frames; never are more than the last few dozen held."""
     tracker = DropletTracker(DropletParameters())
-    recorder, held = Recorder(tracker.delay + tracker.max_age), []
+    session, held = TrackingSession(tracker), []
     for t in range(1500):
         x = np.arange(t % 5 * 10.0, 200, 50)
         boxes = np.column_stack([x, np.full_like(x, 40), np.full((len(x), 2), 20.0)])
-        update = tracker.update(boxes, np.zeros((len(x), 0)))
-        found = Detections(boxes, np.ones(len(x)), np.zeros(len(x), np.int64))
-        recorder.add(t, found, boxes[:, :2], np.zeros(len(x), bool), update)
-        recorder.take_final()
+        session.add_boxes(t, labels(boxes), np.zeros((len(x), 0)))
+        recorder = session._recorder
         kept = len(recorder._frames) + len(recorder._last) + len(recorder._terminated)
         held.append(len(tracker.tracks.ids) + kept + len(recorder._confirmed))
-    assert int(update.track_ids.max()) > 250
+    assert int(tracker.tracks.ids.max()) > 250
     assert max(held[100:200]) >= max(held[200:])
 
 

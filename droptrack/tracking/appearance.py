@@ -15,7 +15,7 @@ from droptrack.data.frames import Frame, grey_plane
 
 GRID = 8  # cells a side
 SAMPLES = 2  # samples a side of each cell
-SIZE_SHARE = 0.5  # of the squared length that tells the size
+SIZE_SHARE = 0.5  # of the squared length, for the size
 TURN_PER_E = np.pi  # angle by which a droplet e times as large differs
 MIN_AREA = 1e-6  # px², so that there is a logarithm
 MAX_REMAPPED_ROWS = 32767  # that OpenCV takes at once

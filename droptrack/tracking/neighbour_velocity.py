@@ -1,4 +1,4 @@
-"""How fast a droplet probably moves that has not been seen to move: as its neighbours do.
+"""Velocities of droplets that were seen only once, estimated from their neighbours.
 
 From neighbours whose velocity is known, or, where none is, from the pattern: the displacement with
 which a droplet and its neighbours all fall on droplets of the next frame (the relaxation method of
@@ -67,7 +67,7 @@ class _Candidates(NamedTuple):
 def displacement_of_pattern(
     points: Floats, diameters: Floats, rows: Rows, following: Floats, reach: float
 ) -> tuple[Floats, Floats]:
-    """Displacements (R, 2) of some of the points (N, 2), told by them and their neighbours.
+    """Displacements (R, 2) of some of the points (N, 2), by them and their neighbours.
 
     `rows` (R,): which points; `following` (M, 2): where droplets are in the next frame; `reach`:
     the longest displacement in diameters. Also returns (R,) the share of neighbours that follow.
@@ -87,8 +87,8 @@ def displacement_of_pattern(
 def _vote(found: _Candidates, rows: Rows, n: int, diameters: Floats) -> Rows:
     """The best candidate (R,) of each droplet.
 
-    Where candidates fit alike, as on a lattice, the neighbours' and everybody's choices tell. `n`:
-    all points, of which `rows` (R,) have candidates; `diameters` (R,).
+    Where candidates fit equally, as on a lattice, those win that the neighbours and most others
+    choose. `n`: all points, of which `rows` (R,) have candidates; `diameters` (R,).
     """
     best = found.share.argmax(axis=1)
     chosen, trusted = np.zeros((n, 2)), np.zeros(n)

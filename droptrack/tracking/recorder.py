@@ -1,6 +1,6 @@
 """A tracker's updates -> rows of trajectories, once they are final.
 
-A tracker knows only later that an early detection belonged to a droplet, or that a droplet was
+A tracker finds only later that an early detection belonged to a droplet, or that a droplet was
 missed for a while and is the same. So rows are held back for a few frames: those of a track's first
 frames are added when it is confirmed, and gaps are bridged when it is seen again.
 """
@@ -17,7 +17,7 @@ from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories, concatenate
 from droptrack.tracking.tracker import Update
 
-NOBODY = 0  # the identity of rows that do not count
+NO_TRACK = 0  # the identity of rows that do not count
 # columns of a row's values; those before are x, y, cx, cy
 WIDTH, HEIGHT, SCORE, MEASURED = 4, 5, 6, 7
 N_COLUMNS = 8
@@ -144,7 +144,7 @@ class Recorder:
             rows.ids[place] = old
             if own is not None:
                 smaller, at = own if _area(added) > _area(own) else added
-                smaller.ids[at] = NOBODY
+                smaller.ids[at] = NO_TRACK
             elif frame > self._last[old]:
                 self._bridge(old, frame)
                 self._last[old] = frame

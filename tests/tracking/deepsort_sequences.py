@@ -67,9 +67,9 @@ def make(seed: int, own_share: float, missing: float, parameters: DeepSortParame
 def sequences() -> dict[str, Sequence]:
     """The sequences by name."""
     return {
-        "looks that differ": make(1, 1.0, 0.05, DeepSortParameters()),
-        "looks that mislead": make(2, 0.3, 0.1, DeepSortParameters()),
-        "look-alikes": make(
+        "descriptors that differ": make(1, 1.0, 0.05, DeepSortParameters()),
+        "descriptors that mislead": make(2, 0.3, 0.1, DeepSortParameters()),
+        "equal descriptors": make(
             3, 0.0, 0.02, DeepSortParameters(max_cosine_distance=0.4, nn_budget=10)
         ),
         "short memory": make(

@@ -18,7 +18,7 @@ Point = tuple[float, float]
 Frames = list[Sequence[Point]]
 
 PARAMETERS = DeepSortParameters()
-ALIKE = np.array([1.0, 0.0])
+DESCRIPTOR = np.array([1.0, 0.0])
 
 
 def run(
@@ -31,7 +31,7 @@ def run(
     ids = []
     for positions in frames:
         boxes = np.array([[x, y, size, size] for x, y in positions]).reshape(-1, 4)
-        update = tracker.update(boxes, np.tile(ALIKE, (len(boxes), 1)))
+        update = tracker.update(boxes, np.tile(DESCRIPTOR, (len(boxes), 1)))
         ids.append(update.track_ids.tolist())
     return ids
 
@@ -71,7 +71,7 @@ def test_a_new_track_is_terminated_by_its_first_miss() -> None:
 
 def test_a_track_is_confirmed_by_the_third_detection_in_a_row() -> None:
     tracker = DeepSortTracker(DeepSortParameters())
-    box, descriptor = np.array([[100.0, 50.0, 20.0, 20.0]]), ALIKE[None]
+    box, descriptor = np.array([[100.0, 50.0, 20.0, 20.0]]), DESCRIPTOR[None]
     assert [tracker.update(box, descriptor).confirmed for _ in range(5)] == [(), (), (1,), (), ()]
     none = np.zeros((0, 4))
     updates = [tracker.update(none, np.zeros((0, 2))) for _ in range(31)]
@@ -80,7 +80,7 @@ def test_a_track_is_confirmed_by_the_third_detection_in_a_row() -> None:
 
 def test_with_n_init_of_one_a_track_is_confirmed_at_birth() -> None:
     tracker = DeepSortTracker(DeepSortParameters(n_init=1))
-    update = tracker.update(np.array([[100.0, 50.0, 20.0, 20.0]]), ALIKE[None])
+    update = tracker.update(np.array([[100.0, 50.0, 20.0, 20.0]]), DESCRIPTOR[None])
     assert update.confirmed == (1,)
 
 
@@ -117,7 +117,7 @@ def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
     tracemalloc.start()
     for t in range(5):
         boxes = np.hstack([places + 2 * t, np.full((10_000, 2), 26.0)])
-        update = tracker.update(boxes, np.tile(ALIKE, (10_000, 1)))
+        update = tracker.update(boxes, np.tile(DESCRIPTOR, (10_000, 1)))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100e6

@@ -8,7 +8,8 @@ from tests.tracking.deepsort_sequences import REFERENCE, sequences
 
 
 @pytest.mark.parametrize(
-    "name", ["looks that differ", "looks that mislead", "look-alikes", "short memory"]
+    "name",
+    ["descriptors that differ", "descriptors that mislead", "equal descriptors", "short memory"],
 )
 def test_identities_are_those_of_the_original(name: str) -> None:
     """Equal up to renaming, frame by frame, of all detections, confirmed or not."""

@@ -27,7 +27,7 @@ class DeepSortParameters:
 
 @dataclass(kw_only=True)
 class _Track:
-    """What is known of one droplet besides its filter."""
+    """The track of one droplet, without its filter's state."""
 
     track_id: int
     hits: int = 1
@@ -94,7 +94,7 @@ class DeepSortTracker:
     def _match_by_appearance(
         self, candidates: Rows, ages: Rows, measurements: Floats, descriptors: Floats
     ) -> tuple[Rows, Rows]:
-        """Matched tracks, of the candidates, and detections: alike, and within the gate."""
+        """Matched tracks, of the candidates, and detections: similar, and within the gate."""
         p, gate = self.parameters, kalman.CHI_SQUARE_95[4]
         mean, covariance = self.mean[candidates], self.covariance[candidates]
         reach = np.sqrt(gate * kalman.innovation_variance(mean, covariance)[:, :2].max(axis=1))

@@ -22,7 +22,8 @@ LOST_DEVIATION = 0.1  # of a lost track from its neighbours' mean
 def predict(tracks: Tracks, boxes: Floats, noise: Noise, p: DropletParameters) -> Tracks:
     """All tracks one frame on; they count as missed until they are corrected.
 
-    New and lost tracks go with the flow, of which the frame's boxes (M, 4) may tell.
+    New and lost tracks go with the flow; where no velocity is known, it is found from the frame's
+    boxes (M, 4).
     """
     state = _with_flow(tracks, boxes, p.max_step) if p.flow else tracks.state
     return tracks.replaced(
@@ -39,7 +40,7 @@ def detection_variance(state: KinematicState, diameters: Floats, noise: Noise) -
 
 
 def _with_flow(tracks: Tracks, boxes: Floats, max_step: float) -> KinematicState:
-    """States with what the flow tells of the velocities of new tracks and of lost ones."""
+    """States with the velocities of new and lost tracks corrected by the flow around them."""
     new, seen = tracks.hits == 1, tracks.missed == 0
     if seen.all() and not new.any():
         return tracks.state
@@ -49,22 +50,22 @@ def _with_flow(tracks: Tracks, boxes: Floats, max_step: float) -> KinematicState
     mean, variance = velocity_of_neighbours(
         state.position[rows], diameters[rows], state.position[known], state.velocity[known]
     )
-    told, is_new = np.isfinite(variance), new[rows]
+    has_flow, is_new = np.isfinite(variance), new[rows]
     velocity, covariance = state.velocity.copy(), state.covariance.copy()
 
-    at = told & is_new
+    at = has_flow & is_new
     some, deviation = rows[at], NEIGHBOURS_DEVIATION * diameters[rows[at]]
     velocity[some] = mean[at]
     covariance[some, 2] = variance[at] + deviation**2
 
     some, steps = _steps_of_pattern(
-        tracks, seen, rows[~told & is_new & seen[rows]], boxes, max_step
+        tracks, seen, rows[~has_flow & is_new & seen[rows]], boxes, max_step
     )
     velocity[some] = steps
     covariance[some, 2] = (PATTERN_DEVIATION * diameters[some]) ** 2
 
     # the flow is one more measurement of the velocity of lost tracks
-    at = told & ~is_new
+    at = has_flow & ~is_new
     some, deviation = rows[at], LOST_DEVIATION * diameters[rows[at]]
     gain = covariance[some, 2] / (covariance[some, 2] + (variance[at] + deviation**2))
     velocity[some] += gain[:, None] * (mean[at] - velocity[some])

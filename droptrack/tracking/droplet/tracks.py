@@ -1,4 +1,4 @@
-"""What the droplet tracker knows: of the detections of a frame, and of its tracks."""
+"""The droplet tracker's records: detections of a frame, and tracks."""
 
 from dataclasses import dataclass, fields
 

@@ -12,7 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH
+from data_gen.scenes.footage import ARRANGEMENTS, footage_scene
+from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH, Scene
 from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.degradation import degrade
@@ -29,13 +30,31 @@ class SceneChoice(StrEnum):
     b = "b"
     c = "c"
     d = "d"
+    scattered = "scattered"
+    packing = "packing"
+    foam = "foam"
+    plugs = "plugs"
+    empty = "empty"
     tiny = "tiny"  # the paper's data for YOLOv3-tiny
     full = "full"  # the paper's data for YOLOv3
     all = "all"  # what the bundled model was trained on
+    footage = "footage"  # droplets as laboratories film them
+    everything = "everything"  # both
 
 
 FILE_KEYS = {"degraded": "spoilt"}  # names in dataset.json that are not a Recipe's
-MIXTURES = {"tiny": "ab", "full": "c", "all": "abccdd"}
+FOOTAGE = ("plugs", "foam", "scattered", "foam", "plugs", "packing", "foam", "plugs", "scattered")
+MIXTURES = {
+    "tiny": tuple("ab"),
+    "full": tuple("c"),
+    "all": tuple("abccdd"),
+    "footage": (*FOOTAGE, "packing", "empty"),
+    "everything": (*FOOTAGE, "packing", "empty", *"accddb"),
+}
+DRAWINGS: dict[str, Callable[[np.random.Generator], Scene]] = {
+    **SCENES,
+    **{name: functools.partial(footage_scene, name) for name in ARRANGEMENTS},
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,9 +69,9 @@ class Recipe:
     jpeg_quality: int = JPEG_QUALITY
     format: int = 1  # to be raised when the same seed gives other images
 
-    def kinds(self) -> str:
-        """The letters of the scenes that take turns."""
-        return MIXTURES.get(self.scene, self.scene)
+    def kinds(self) -> tuple[str, ...]:
+        """The names of the scenes that take turns."""
+        return MIXTURES.get(self.scene, (self.scene,))
 
 
 def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
@@ -62,7 +81,7 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     """
     rng = np.random.default_rng([recipe.seed, ("train", "valid").index(split), index])
     kinds = recipe.kinds()
-    scene = SCENES[kinds[index % len(kinds)]](rng)
+    scene = DRAWINGS[kinds[index % len(kinds)]](rng)
     path = folder / image_name(split, index)
     quality = [cv2.IMWRITE_JPEG_QUALITY, recipe.jpeg_quality]
     degraded = rng.random() < recipe.degraded
@@ -78,11 +97,11 @@ def image_source(scene: str) -> Callable[[np.random.Generator], tuple[Pixels, Fl
     """
     if scene not in list(SceneChoice):
         raise DroptrackError(f"no scene {scene}; there are {', '.join(SceneChoice)}")
-    return functools.partial(_draw_image, MIXTURES.get(scene, scene))
+    return functools.partial(_draw_image, MIXTURES.get(scene, (scene,)))
 
 
-def _draw_image(kinds: str, rng: np.random.Generator) -> tuple[Pixels, Floats]:
-    scene = SCENES[kinds[rng.integers(len(kinds))]](rng)
+def _draw_image(kinds: tuple[str, ...], rng: np.random.Generator) -> tuple[Pixels, Floats]:
+    scene = DRAWINGS[kinds[rng.integers(len(kinds))]](rng)
     return np.repeat(scene.image[..., None], 3, axis=2), scene.boxes
 
 

@@ -1,0 +1,124 @@
+"""Images of droplets as laboratories film them: named scenes, each an arrangement.
+
+scattered   droplets of one or of many sizes, apart or overlapping
+packing     droplets of about one size, close together, with a free surface
+foam        droplets of many sizes pressed into polygons
+plugs       plugs in a channel with walls, junctions and surroundings
+empty       all that surrounds droplets, without any
+
+What the droplets look like is drawn apart from where they lie (`appearance`); surroundings, optics
+and sensor follow. A droplet has a label where at least MIN_VISIBLE of it can be seen; its box is
+that of its outline, the outside of its rim, cut where the image or the field stop cuts it.
+"""
+
+from collections.abc import Callable, Iterator
+
+import cv2
+import numpy as np
+
+from data_gen.scenes.appearance import paint, random_look, small_things
+from data_gen.scenes.channels import empty, plugs
+from data_gen.scenes.distances import box_of, ellipse_distance, patch_around
+from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered
+from data_gen.scenes.scene_kinds import Scene
+from data_gen.scenes.surroundings import add_dirt, add_text, background, field_stop, vignette
+from droptrack.data.arrays import Bools, Float32s, Floats, Pixels
+from droptrack.data.degradation import add_noise, blur, to_pixels
+
+MIN_VISIBLE = 0.3
+MIN_SIDE = 3.0  # px, of a box
+
+
+Arrangement = Callable[[np.random.Generator, Float32s], Iterator[Outline]]
+
+
+def footage_scene(name: str, rng: np.random.Generator) -> Scene:
+    """An image (H, W) of a scene by its name, and the boxes of the droplets in it."""
+    canvas, level = background(rng, SHAPE)
+    look = random_look(rng, level)
+    stop = field_stop(rng, SHAPE) if rng.random() < 0.15 else None
+    boxes = []
+    for outline in ARRANGEMENTS[name](rng, canvas):
+        paint(canvas, outline.patch, outline.distance, look, outline.radius, outline.rim, rng)
+        if rng.random() < look.inclusions:
+            _paint_small_things(canvas, outline, rng)
+        box = _visible_box(outline, stop)
+        if box is not None:
+            boxes.append(box)
+    add_dirt(rng, canvas)
+    if rng.random() < 0.3:
+        vignette(rng, canvas)
+    if stop is not None:
+        dark = np.float32(rng.uniform(0, 40))
+        canvas[~stop] = dark
+    if rng.random() < 0.06:
+        add_text(rng, canvas)
+    image = _photograph(rng, canvas)
+    return Scene(image, np.array(boxes).reshape(-1, 4))
+
+
+def _visible_box(outline: Outline, stop: Bools | None) -> Floats | None:
+    """The box [cx, cy, w, h] of what can be seen of a droplet, or None where that is too little."""
+    if not outline.labelled or outline.patch.is_empty:
+        return None
+    distance = outline.distance
+    if stop is not None:
+        hidden = ~stop[outline.patch.rows, outline.patch.columns]
+        distance = np.where(hidden, np.float32(1), distance)
+    if (distance < 0).sum() < MIN_VISIBLE * outline.area:
+        return None
+    edges = box_of(outline.patch, distance)
+    if edges is None or (edges[2:] - edges[:2]).min() < MIN_SIDE:
+        return None
+    return np.concatenate([(edges[:2] + edges[2:]) / 2, edges[2:] - edges[:2]])
+
+
+def _paint_small_things(canvas: Float32s, outline: Outline, rng: np.random.Generator) -> None:
+    """Cells or particles inside a droplet: they have no labels."""
+    tone = float(rng.normal(0, 45))
+    for x, y, size in small_things(outline.centre, min(outline.radius, 60.0), rng).tolist():
+        patch = patch_around(SHAPE, np.array([x, y]), size + 3)
+        if patch.is_empty:
+            continue
+        distance = ellipse_distance(patch, np.array([x, y]), max(size, 0.8), max(size, 0.8), 0)
+        ring = np.exp(-((distance / np.float32(1.2)) ** 2))
+        spot = np.clip(0.5 - distance, 0, 1) * np.float32(0.3)
+        canvas[patch.rows, patch.columns] += (ring + spot) * np.float32(tone)
+
+
+def _photograph(rng: np.random.Generator, canvas: Float32s) -> Pixels:
+    """Optics and sensor: focus, motion, contrast, brightness, noise, compression."""
+    levels = np.asarray(canvas, np.float64)
+    if rng.random() < 0.7:
+        levels = blur(levels, rng.uniform(0.4, 2.4))
+    if rng.random() < 0.15:  # motion, along the lines or the columns
+        n = int(rng.integers(3, 10))
+        kernel = np.full((1, n), 1 / n)
+        levels = np.asarray(
+            cv2.filter2D(levels, -1, kernel if rng.random() < 0.7 else kernel.T), np.float64
+        )
+    contrast = rng.uniform(0.35, 1.1) if rng.random() < 0.6 else 1.0
+    if rng.random() < 0.12:
+        contrast = rng.uniform(0.12, 0.35)
+    middle = float(np.clip(levels.mean(), 40, 215))
+    levels = (levels - middle) * contrast + middle
+    if rng.random() < 0.2:  # so that much is clipped, white or black
+        levels += rng.choice([-1, 1]) * rng.uniform(20, 90)
+    if rng.random() < 0.7:
+        sigma = rng.uniform(0.5, 12) * min(1.0, contrast + 0.2)
+        levels = np.asarray(add_noise(levels, rng.standard_normal(levels.shape), sigma), float)
+    pixels = to_pixels(levels)
+    if rng.random() < 0.4:
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(60, 98))]
+        decoded = cv2.imdecode(cv2.imencode(".jpg", pixels, quality)[1], cv2.IMREAD_GRAYSCALE)
+        return np.asarray(decoded, np.uint8)
+    return pixels
+
+
+ARRANGEMENTS: dict[str, Arrangement] = {
+    "scattered": scattered,
+    "packing": packing,
+    "foam": foam,
+    "plugs": plugs,
+    "empty": empty,
+}

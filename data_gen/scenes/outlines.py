@@ -1,0 +1,135 @@
+"""Arrangements of droplets: where they lie and how they press on one another, as outlines.
+
+An arrangement yields one `Outline` a droplet; what is drawn of it is decided elsewhere
+(`appearance`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_gen.scenes.distances import Patch, cell_distance, ellipse_distance, patch_around
+from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
+from droptrack.data.arrays import Float32s, Floats
+
+SHAPE = (HEIGHT, WIDTH)
+MAX_NEIGHBOURS = 12  # of a droplet in a foam
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outline:
+    """One droplet: its patch, and the signed distance (H, W) to its outline.
+
+    `radius` px and `centre` (2,) px; `area` px², also of what lies beyond the image; `rim`: how
+    strong the rim is at each pixel; `labelled`: whether it is a droplet, not yet a thread.
+    """
+
+    patch: Patch
+    distance: Float32s
+    radius: float
+    centre: Floats
+    area: float
+    rim: Float32s | float = 1.0
+    labelled: bool = True
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A random number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def ellipse(rng: np.random.Generator, centre: Floats, radius: float, oblong: float) -> Outline:
+    """An ellipse as large as a circle of the radius, `oblong` times as long as wide, turned."""
+    a, b = radius * np.sqrt(oblong), radius / np.sqrt(oblong)
+    patch = patch_around(SHAPE, centre, a + 4)
+    angle = float(rng.uniform(0, np.pi))
+    distance = ellipse_distance(patch, centre, a, b, angle)
+    return Outline(
+        patch=patch, distance=distance, radius=radius, centre=centre, area=float(np.pi * a * b)
+    )
+
+
+def scattered(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
+    """Droplets here and there, of a typical size or of all sizes, some over others."""
+    typical = log_uniform(rng, 5, 120)
+    spread = rng.choice([0.03, 0.2, 0.7])
+    room = 0.6 * WIDTH * HEIGHT / (np.pi * typical**2) + 2
+    n = min(int(rng.integers(1, 120)), int(room))
+    apart = 0.55 if rng.random() < 0.3 else 1.03
+    placed = np.empty((0, 3))
+    for _ in range(6 * n):
+        if len(placed) >= n:
+            break
+        radius = float(np.clip(typical * np.exp(rng.normal(0, spread)), 3, 250))
+        centre = rng.uniform(-0.3 * radius, [WIDTH + 0.3 * radius, HEIGHT + 0.3 * radius])
+        gaps = np.hypot(*(placed[:, :2] - centre).T) - apart * (placed[:, 2] + radius)
+        if (gaps < 0).any():
+            continue
+        placed = np.vstack([placed, [*centre, radius]])
+        oblong = 1.0 if rng.random() < 0.6 else float(rng.uniform(1, 1.8))
+        yield ellipse(rng, centre, radius, oblong)
+
+
+def packing(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
+    """A jittered hexagonal packing of about one size that fills a part of the image."""
+    radius = log_uniform(rng, 6, 90)
+    spacing = radius * rng.uniform(1.85, 2.4)
+    reach = int(WIDTH / spacing) + 2
+    row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    points = np.column_stack([column + (row % 2) / 2, row * np.sqrt(0.75)]) * spacing
+    angle = rng.uniform(0, np.pi)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    points = points @ turn + rng.uniform(0, 1, 2) * [WIDTH, HEIGHT]
+    points += rng.normal(0, rng.uniform(0, 0.12) * radius, points.shape)
+    radii = radius * np.clip(rng.normal(1, rng.uniform(0, 0.12), len(points)), 0.5, 1.4)
+    inside = ((points > -radius) & (points < [WIDTH + radius, HEIGHT + radius])).all(axis=1)
+    if rng.random() < 0.6:  # a free surface, or a few gaps
+        normal = rng.normal(0, 1, 2)
+        normal /= np.hypot(*normal)
+        inside &= (points - rng.uniform(0.2, 0.8, 2) * [WIDTH, HEIGHT]) @ normal > 0
+    inside &= rng.random(len(points)) > rng.choice([0.0, 0.1, 0.4])
+    yield from _pressed(rng, points[inside], radii[inside])
+
+
+def foam(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
+    """Droplets of many sizes that fill the image, or a part of it, up to thin films."""
+    typical = log_uniform(rng, 9, 90)
+    spread = rng.uniform(0.05, 0.6)
+    n = int(min(1500, 6 * WIDTH * HEIGHT / (np.pi * typical**2) + 20))
+    radii = np.sort(np.clip(typical * np.exp(rng.normal(0, spread, n)), 5, 220))[::-1]
+    centres = rng.uniform(-40, [WIDTH + 40, HEIGHT + 40], (n, 2))
+    kept: list[int] = []
+    overlap = rng.uniform(0.7, 0.92)
+    for i in range(n):
+        others = np.array(kept, int)
+        gap = np.hypot(*(centres[others] - centres[i]).T) - overlap * (radii[others] + radii[i])
+        if not (gap < 0).any():
+            kept.append(i)
+    points, sizes = centres[kept], radii[kept]
+    # grow each until it meets its neighbours
+    far = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) - sizes[None]
+    np.fill_diagonal(far, np.inf)
+    nearest = np.sort(far, axis=1)[:, : int(rng.integers(2, 6))].mean(axis=1)
+    grown = np.clip(nearest, sizes, 2.0 * sizes) if rng.random() < 0.75 else sizes
+    yield from _pressed(rng, points, grown)
+
+
+def _pressed(rng: np.random.Generator, points: Floats, radii: Floats) -> Iterator[Outline]:
+    """Droplets (N,) at points (N, 2) that flatten one another where they meet."""
+    film = rng.uniform(0.3, 3) if rng.random() < 0.5 else rng.uniform(0, 0.12) * np.median(radii)
+    for i in range(len(points)):
+        point, radius = points[i], float(radii[i])
+        patch = patch_around(SHAPE, point, radius + 4)
+        if patch.is_empty:
+            continue
+        apart = np.hypot(*(points - point).T)
+        near = np.flatnonzero((apart > 0) & (apart < radius + radii + film))
+        near = near[np.argsort(apart[near])][:MAX_NEIGHBOURS]
+        others = np.column_stack([points[near], radii[near]])
+        distance = cell_distance(patch, point, radius, others, float(film))
+        area = max(float((distance < 0).sum()), 1.0)
+        beyond = (point < radius) | (point > [WIDTH - radius, HEIGHT - radius])
+        if beyond.any():
+            area = max(area, 0.75 * np.pi * radius**2)
+        yield Outline(patch=patch, distance=distance, radius=radius, centre=point, area=area)

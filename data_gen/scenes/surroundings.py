@@ -1,0 +1,88 @@
+"""What is in an image beside its droplets: background, channels, dirt, text, the field stop."""
+
+import cv2
+import numpy as np
+
+from droptrack.data.arrays import Bools, Float32s, Floats
+
+
+def background(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Float32s, float]:
+    """Grey levels (H, W), unevenly lit and with a coarse texture, and their mean level."""
+    level = float(rng.uniform(15, 245))
+    height, width = shape
+    x = np.linspace(-0.5, 0.5, width, dtype=np.float32)
+    y = np.linspace(-0.5, 0.5, height, dtype=np.float32)
+    slope = rng.normal(0, 20, 2) if rng.random() < 0.7 else np.zeros(2)
+    canvas = np.add.outer(y * np.float32(slope[1]), x * np.float32(slope[0])) + np.float32(level)
+    if rng.random() < 0.5:
+        canvas += texture(rng, shape, float(rng.uniform(20, 200))) * np.float32(rng.uniform(2, 14))
+    if rng.random() < 0.25:
+        canvas += texture(rng, shape, float(rng.uniform(3, 12))) * np.float32(rng.uniform(1, 7))
+    return canvas, level
+
+
+def texture(rng: np.random.Generator, shape: tuple[int, int], period: float) -> Float32s:
+    """Smooth random values (H, W) of about unit size that change within `period` px."""
+    coarse = (max(2, round(shape[0] / period)), max(2, round(shape[1] / period)))
+    values = rng.standard_normal(coarse).astype(np.float32)
+    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_CUBIC), np.float32)
+
+
+def draw_line(canvas: Float32s, start: Floats, end: Floats, width: float, level: float) -> None:
+    """Add a straight line of a width, px, and a level relative to what is below, in place."""
+    mask = np.zeros(canvas.shape, np.uint8)
+    points = [tuple(np.round(16 * p).astype(int).tolist()) for p in (start, end)]
+    cv2.line(mask, points[0], points[1], 255, max(1, round(width)), cv2.LINE_AA, shift=4)
+    canvas += mask * np.float32(level / 255)
+
+
+def add_dirt(rng: np.random.Generator, canvas: Float32s) -> None:
+    """Dust, hairs and scratches, in place; none of it looks like a droplet."""
+    height, width = canvas.shape
+    if rng.random() < 0.5:
+        layer = np.zeros_like(canvas)
+        for _ in range(rng.integers(1, 40)):
+            place = (int(rng.integers(width)), int(rng.integers(height)))
+            axes = tuple(int(v) for v in rng.integers(1, 4, 2))
+            cv2.ellipse(layer, place, axes, float(rng.uniform(0, 180)), 0, 360, 1.0, -1)
+        soft = cv2.GaussianBlur(layer, (0, 0), float(rng.uniform(0.6, 2)))
+        canvas += soft * np.float32(rng.normal(0, 60))
+    for _ in range(rng.integers(0, 4) if rng.random() < 0.3 else 0):
+        start = rng.uniform(0, 1, 2) * [width, height]
+        turn = np.cumsum(rng.normal(0, 0.15, 30)) + rng.uniform(0, 2 * np.pi)
+        steps = np.column_stack([np.cos(turn), np.sin(turn)]) * rng.uniform(2, 20)
+        points = np.round((start + np.cumsum(steps, axis=0)) * 16).astype(np.int32)
+        layer = np.zeros(canvas.shape, np.uint8)
+        cv2.polylines(layer, [points], False, 255, int(rng.integers(1, 3)), cv2.LINE_AA, shift=4)
+        canvas += layer * np.float32(rng.normal(0, 50) / 255)
+
+
+def add_text(rng: np.random.Generator, canvas: Float32s) -> None:
+    """What cameras write into their images: a time stamp, a scale bar; in place."""
+    height, width = canvas.shape
+    level = float(rng.choice([0.0, 255.0]))
+    corner = (int(rng.integers(4, width // 2)), int(rng.choice([30, height - 12])))
+    digits = "".join(str(d) for d in rng.integers(0, 10, 6))
+    text = f"{digits[:2]}:{digits[2:4]}.{digits[4:]} {rng.choice(['ms', 'fps', 'um', ''])}"
+    cv2.putText(canvas, text, corner, int(rng.integers(0, 4)), rng.uniform(0.4, 1.1), level, 1)
+    if rng.random() < 0.5:
+        x, length = corner[0], int(rng.integers(40, 200))
+        cv2.line(canvas, (x, corner[1] + 8), (x + length, corner[1] + 8), level, 3)
+
+
+def field_stop(rng: np.random.Generator, shape: tuple[int, int]) -> Bools:
+    """Where (H, W) a round opening lets light through; some of it lies beyond the image."""
+    height, width = shape
+    radius = rng.uniform(0.5, 1.1) * width / 2
+    cx = width / 2 + rng.normal(0, 0.1) * width
+    cy = height / 2 + rng.normal(0, 0.15) * height
+    y, x = np.ogrid[:height, :width]
+    return np.asarray((x - cx) ** 2 + (y - cy) ** 2 < radius**2)
+
+
+def vignette(rng: np.random.Generator, canvas: Float32s) -> None:
+    """Darker towards the corners, in place."""
+    height, width = canvas.shape
+    x = np.linspace(-1, 1, width, dtype=np.float32) + np.float32(rng.normal(0, 0.15))
+    y = np.linspace(-1, 1, height, dtype=np.float32) + np.float32(rng.normal(0, 0.15))
+    canvas *= 1 - np.float32(rng.uniform(0.1, 0.45)) * np.minimum(np.add.outer(y * y, x * x) / 2, 1)

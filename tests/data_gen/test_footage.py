@@ -1,0 +1,111 @@
+"""Droplets as laboratories film them: exact outlines and boxes, labels, nothing by accident."""
+
+import numpy as np
+import pytest
+
+from data_gen.scenes.appearance import paint, random_look
+from data_gen.scenes.dataset import image_source
+from data_gen.scenes.distances import (
+    box_of,
+    cell_distance,
+    ellipse_distance,
+    patch_around,
+    stadium_distance,
+)
+from data_gen.scenes.footage import ARRANGEMENTS, footage_scene
+from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
+
+SHAPE = (HEIGHT, WIDTH)
+CENTRE = np.array([300.3, 200.7])
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, np.pi / 2, 2.9])
+def test_an_ellipse_ends_where_its_formula_says(angle: float) -> None:
+    """Its half width is sqrt((a cos)² + (b sin)²)."""
+    a, b = 40.0, 22.0
+    patch = patch_around(SHAPE, CENTRE, a + 4)
+    box = box_of(patch, ellipse_distance(patch, CENTRE, a, b, angle))
+    half = np.array(
+        [
+            np.hypot(a * np.cos(angle), b * np.sin(angle)),
+            np.hypot(a * np.sin(angle), b * np.cos(angle)),
+        ]
+    )
+    assert box is not None
+    np.testing.assert_allclose(box, [*(CENTRE - half), *(CENTRE + half)], atol=0.1)
+
+
+@pytest.mark.parametrize("angle", [0.0, np.pi / 2, 0.5])
+def test_a_stadium_is_two_half_discs_and_a_rectangle(angle: float) -> None:
+    """Half length 60, half height 20 px: discs of 20 px at 40 px from the middle; and its area."""
+    patch = patch_around(SHAPE, CENTRE, 70)
+    distance = stadium_distance(patch, CENTRE, np.array([60.0, 20.0]), 20.0, angle)
+    half = 20 + 40 * np.abs([np.cos(angle), np.sin(angle)])
+    box = box_of(patch, distance)
+    assert box is not None
+    np.testing.assert_allclose(box, [*(CENTRE - half), *(CENTRE + half)], atol=0.05)
+    assert (distance < 0).sum() == pytest.approx(80 * 40 + np.pi * 20**2, rel=0.005)
+    assert distance.min() == pytest.approx(-20, abs=0.6)
+
+
+def test_two_equal_droplets_meet_half_way_with_a_film_between_them() -> None:
+    """36 px apart, of radius 20, film 4: each ends 16 px from its middle, less what is rounded."""
+    patch = patch_around(SHAPE, CENTRE, 24)
+    other = np.array([[CENTRE[0] + 36, CENTRE[1], 20.0]])
+    distance = cell_distance(patch, CENTRE, 20.0, other, 4.0)
+    box = box_of(patch, distance)
+    assert box is not None
+    alone = box_of(patch, cell_distance(patch, CENTRE, 20.0, np.zeros((0, 3)), 4.0))
+    assert alone is not None
+    np.testing.assert_allclose(alone, [*(CENTRE - 20), *(CENTRE + 20)], atol=0.05)
+    assert CENTRE[0] + 13 < box[2] <= CENTRE[0] + 16
+    assert box[0] == pytest.approx(CENTRE[0] - 20, abs=0.5)
+
+
+def test_a_droplet_beyond_the_image_has_an_empty_patch_and_one_cut_ends_at_the_edge() -> None:
+    assert patch_around(SHAPE, np.array([-50.0, 100.0]), 20).is_empty
+    centre = np.array([5.0, 100.0])
+    patch = patch_around(SHAPE, centre, 24)
+    box = box_of(patch, ellipse_distance(patch, centre, 20, 20, 0))
+    assert box is not None
+    assert box[0] == 0
+    assert box[2] == pytest.approx(25, abs=0.05)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_droplet_is_visible_on_its_background_and_changes_nothing_else(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    level = float(rng.uniform(15, 245))
+    look = random_look(rng, level)
+    canvas = np.full(SHAPE, level, np.float32)
+    patch = patch_around(SHAPE, CENTRE, 50)
+    distance = ellipse_distance(patch, CENTRE, 30, 30, 0)
+    paint(canvas, patch, distance, look, 30, 1.0, rng)
+    change = np.abs(canvas[patch.rows, patch.columns] - level)
+    assert change.max() > 20
+    assert change[distance > 2].max() < 1e-3
+    canvas[patch.rows, patch.columns] = level
+    assert (canvas == np.float32(level)).all()
+
+
+@pytest.mark.parametrize("name", ARRANGEMENTS)
+def test_a_scene_depends_on_its_seed_only_and_its_boxes_lie_in_the_image(name: str) -> None:
+    n_boxes = 0
+    for seed in range(3):
+        scene, again = (footage_scene(name, np.random.default_rng([seed, 1])) for _ in range(2))
+        np.testing.assert_array_equal(scene.image, again.image)
+        np.testing.assert_array_equal(scene.boxes, again.boxes)
+        assert scene.image.shape == SHAPE
+        low = scene.boxes[:, :2] - scene.boxes[:, 2:] / 2
+        high = scene.boxes[:, :2] + scene.boxes[:, 2:] / 2
+        assert (low >= 0).all()
+        assert (high <= [WIDTH, HEIGHT]).all()
+        n_boxes += len(scene.boxes)
+    assert (n_boxes == 0) == (name == "empty")
+
+
+def test_training_can_draw_all_of_them() -> None:
+    draw = image_source("everything")
+    image, boxes = draw(np.random.default_rng(0))
+    assert image.shape == (HEIGHT, WIDTH, 3)
+    assert boxes.shape[1] == 4

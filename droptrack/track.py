@@ -43,6 +43,16 @@ def main(
     backend: BackendOption = Backend.auto,
     precision: PrecisionOption = Precision.auto,
     size: SizeOption = None,
+    scale: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01, help="Px of the network's input for a px of the video, instead of --size."
+        ),
+    ] = None,
+    diameter: Annotated[
+        float | None,
+        typer.Option(min=1, help="Diameter of a typical droplet, px of the video, for the scale."),
+    ] = None,
     live: Annotated[
         bool | None,
         typer.Option(
@@ -123,6 +133,8 @@ def main(
             weights=weights,
             cfg=cfg,
             size=size,
+            scale=scale,
+            diameter_px=diameter,
             backend=backend,
             precision=precision,
             live=live,

@@ -11,6 +11,7 @@ from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame, negative
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.decoding import select
+from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 
 
@@ -54,7 +55,8 @@ class Detector:
 
     `threshold`: minimum score of a detection; `max_iou`: IoU above which two detections are one
     droplet; `dark`: droplets are darker than what is around them, and the network learned bright
-    ones, so that it is shown the negative; `greedy`: as for `suppress_duplicates`.
+    ones, so that it is shown the negative; `greedy`: as for `suppress_duplicates`;
+    `canvas`: what frames are extended to, so that they need not be stretched.
     """
 
     def __init__(
@@ -65,9 +67,10 @@ class Detector:
         *,
         dark: bool = False,
         greedy: bool = False,
+        canvas: Canvas | None = None,
     ) -> None:
         self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
-        self.dark, self.greedy = dark, greedy
+        self.dark, self.greedy, self.canvas = dark, greedy, canvas
 
     def detect(self, frames: Sequence[Frame]) -> list[Detections]:
         """The detections of each of some frames (H, W, 3) of one size, in one pass.
@@ -81,6 +84,9 @@ class Detector:
 
         Both may raise DroptrackError.
         """
+        canvas = self.canvas
+        if canvas is not None:
+            frames = [canvas.extended(frame) for frame in frames]
         height, width = frames[0].shape[:2]
         with self._failures():
             with times.measure("preprocess"):
@@ -93,10 +99,11 @@ class Detector:
                 outputs, seconds = computing.result()
             times.add("network", seconds)
             with times.measure("decode_boxes"):
-                return [
+                found = [
                     select(rows, width, height, self.threshold, self.max_iou, greedy=self.greedy)
                     for rows in self.engine.rows(outputs)
                 ]
+                return found if canvas is None else [canvas.within(one) for one in found]
 
         return finish
 

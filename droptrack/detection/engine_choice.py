@@ -13,6 +13,7 @@ import numpy as np
 from droptrack.data.frames import grey_frame
 from droptrack.detection.detector import Detector, Engine, first_line
 from droptrack.detection.engines import opencv_dnn
+from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.network.darknet_weights import Weights, read_weights
@@ -63,6 +64,7 @@ class Network:
     max_iou: float
     dark: bool = False
     greedy: bool = False
+    canvas: Canvas | None = None
 
     def weights(self) -> Weights:
         """The weights; raises DroptrackError for a file that does not fit the cfg."""
@@ -70,7 +72,14 @@ class Network:
 
     def detector(self, engine: Engine) -> Detector:
         """A detector with this network on an engine."""
-        return Detector(engine, self.threshold, self.max_iou, dark=self.dark, greedy=self.greedy)
+        return Detector(
+            engine,
+            self.threshold,
+            self.max_iou,
+            dark=self.dark,
+            greedy=self.greedy,
+            canvas=self.canvas,
+        )
 
 
 def choose_detector(

@@ -16,11 +16,13 @@ class TrackingConfig:
 
     `video`: a file, a folder of images, the index of a camera, or the address of a stream. `out`:
     the folder for the results, default ``tracks/<the video's name>``. `weights`, `cfg` and `size`:
-    the network, see `network.bundled.find_network`. `live`: always take the newest frame and drop
-    others; default for cameras and streams. `score`: the minimum score of a droplet. `max_iou`:
-    the IoU above which two boxes are one droplet. `dark`: droplets are darker than their
-    surroundings. `batch`: frames that the network takes at once. `max_frames`: stop after so many;
-    0: never.
+    the network, see `network.bundled.find_network`. `scale`: px of the network's input for a px of
+    the video, or `diameter_px`, the diameter of a typical droplet in the video, from which the
+    scale follows; without, the input is as large as the network's own. `live`: always take the
+    newest frame and drop others; default for cameras and streams. `score`: the minimum score of a
+    droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets are darker
+    than their surroundings. `batch`: frames that the network takes at once. `max_frames`: stop
+    after so many; 0: never.
     """
 
     video: str
@@ -28,6 +30,8 @@ class TrackingConfig:
     weights: Path | None = None
     cfg: Path | None = None
     size: str | None = None
+    scale: float | None = None
+    diameter_px: float | None = None
     backend: Backend = Backend.auto
     precision: Precision = Precision.auto
     live: bool | None = None

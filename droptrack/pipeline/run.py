@@ -12,14 +12,15 @@ from droptrack.compiled import explained
 from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
-from droptrack.data.video import Video, VideoWriter
+from droptrack.data.video import Video, VideoInfo, VideoWriter
 from droptrack.detection import decoding
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
+from droptrack.detection.scale import DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import centre_of_mass
 from droptrack.network.bundled import find_network
-from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.loop import track_frames
@@ -64,6 +65,7 @@ class _Opened:
     live: bool
     network: Cfg
     weights: Path
+    scale: float
     detector: Detector
     tracker: Tracker
     tracker_settings: dict[str, Value]
@@ -109,12 +111,14 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
     describe = choose_descriptor(config.tracker)
     network, weights = find_network(config.weights, config.cfg, config.size)
     source = Video(config.video)
+    canvas = _choose_canvas(config, network, source.info)
+    network = resized(network, *canvas.network)
     live = source.live if config.live is None else config.live
     with explained(say):
         decoding.load_loops()
         centre_of_mass.load_loops()
     detector = choose_detector(
-        Network(network, weights, config.score, config.max_iou, config.dark),
+        Network(network, weights, config.score, config.max_iou, config.dark, canvas=canvas),
         config.backend,
         config.precision,
         live=live,
@@ -125,11 +129,35 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
         live=live,
         network=network,
         weights=weights,
+        scale=canvas.scale,
         detector=detector,
         tracker=tracker,
         tracker_settings=tracker_settings,
         describe=describe,
     )
+
+
+def _choose_canvas(config: TrackingConfig, network: Cfg, info: VideoInfo) -> Canvas:
+    """How large the network's input is, and what it shows. Raises DroptrackError."""
+    given = [name for name in ("size", "scale", "diameter_px") if getattr(config, name) is not None]
+    if len(given) > 1:
+        options = " and ".join(f"--{name.removesuffix('_px')}" for name in given)
+        raise DroptrackError(f"{options}: each says how large the input is; give one of them")
+    own = (network.width, network.height)
+    if config.size is not None:
+        return Canvas(own, (info.width, info.height), (info.width, info.height))
+    scale = config.scale
+    if config.diameter_px is not None:
+        scale = DIAMETER_PX / config.diameter_px
+    if scale is None:
+        return Canvas.like(info.width, info.height, own)
+    canvas = Canvas.of(info.width, info.height, scale)
+    if max(canvas.network) > MAX_SIDE_PX:
+        raise DroptrackError(
+            f"a scale of {scale:.3g} makes an input of {canvas.network[0]} x {canvas.network[1]} "
+            f"px; sides of up to {MAX_SIDE_PX} px are computed"
+        )
+    return canvas
 
 
 def _make_folder(config: TrackingConfig) -> Path:
@@ -159,6 +187,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     return {
         "backend": opened.detector.engine.name,
         "network_size": [opened.network.width, opened.network.height],
+        "scale": opened.scale,
         "live": opened.live,
         "score": config.score,
         "max_iou": config.max_iou,

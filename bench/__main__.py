@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.drawn import DROPLETS, SEED, drawn_images, write_video
+from bench.real import SETS
+from bench.real import run as run_real
 from data_gen.scenes.dataset import Recipe, make_dataset
 from data_gen.scenes.scene_kinds import SCENES
 from droptrack.command_line import new_app
@@ -124,6 +126,16 @@ def accuracy(
             str(result.n_ground_truths),
         )
     console.print(table)
+
+
+@app.command()
+def real(
+    folder: Annotated[Path, typer.Argument(help="A folder for each set: images, Darknet labels.")],
+    weights: Annotated[Path | None, typer.Option(help="Default: the bundled model.")] = None,
+    sets: Annotated[str, typer.Option(help="Sets, with commas.")] = ",".join(SETS),
+) -> None:
+    """What is found on real, labelled images, by droptrack and by what one would use instead."""
+    run_real(folder, weights, sets.split(","))
 
 
 @app.callback(invoke_without_command=True)

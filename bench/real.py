@@ -1,0 +1,247 @@
+"""How well droplets are found on real, labelled images: ``python -m bench real DIR``.
+
+DIR has a folder for each set, with images and Darknet's label files beside them. What counts is
+said by SETS: labels at an image's edge, or of droplets that are too small, count neither way; where
+only whole plugs are labelled, so do boxes in the channel's line beside them. Besides droptrack's
+network, at several fixed scales, it tries what a user would pick instead, each with the best of its
+settings for the set.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bench.classical import finders
+from droptrack.data.arrays import Bools, Floats, Pixels
+from droptrack.data.darknet_dataset import read_ground_truth
+from droptrack.data.detections import Detections, iou_matrix
+from droptrack.data.frames import grey_frame
+from droptrack.detection.detector import Detector
+from droptrack.detection.engine_choice import Network, Precision, choose_detector
+from droptrack.detection.scale import Canvas
+from droptrack.network.bundled import find_network
+from droptrack.network.darknet_cfg import resized
+
+SCALES = tuple(0.8 * 2 ** (k / 2) for k in range(-4, 4))
+MIN_SCORE = 0.01
+DEFAULT_SCORE = 0.4
+MAX_IOU = 0.3
+EDGE_PX = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetRules:
+    """What counts on a set of images."""
+
+    min_iou: float = 0.5
+    cut_count: bool = True  # droplets cut by the image's edge
+    min_size_px: float = 0.0
+    only_whole_plugs: bool = False
+    complete: bool = True  # all droplets have labels, so that what is found beside them is false
+
+
+SETS = {
+    "foam": SetRules(cut_count=False),
+    "plugs": SetRules(only_whole_plugs=True),
+    "foam_channel": SetRules(),
+    "bubbly": SetRules(min_size_px=8, complete=False),
+}
+
+
+@dataclass(frozen=True)
+class LabelledImage:
+    """A grey image (H, W) and its labels."""
+
+    path: Path
+    image: Pixels
+    truth: Detections
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """What was found on a set; NaN where the set cannot tell."""
+
+    ap50: float
+    recall: float
+    precision: float
+
+    @property
+    def worth(self) -> float:
+        """What the best setting has most of."""
+        return self.recall if np.isnan(self.ap50) else self.ap50
+
+
+def read_set(folder: Path) -> list[LabelledImage]:
+    """The images of a folder that have labels, as grey levels from 0 to 255."""
+    found = []
+    for labels in sorted(folder.glob("*.txt")):
+        paths = [path for path in labels.parent.glob(f"{labels.stem}.*") if path != labels]
+        if not paths:
+            continue
+        image = cv2.imread(str(paths[0]), cv2.IMREAD_UNCHANGED)
+        assert image is not None, paths[0]
+        if image.ndim == 3:
+            image = image[..., :3].mean(axis=2)
+        if image.dtype == np.uint16:
+            low, high = np.percentile(image, [0.1, 99.9])
+            image = (image - low) * (255 / max(high - low, 1))
+        grey = np.clip(image, 0, 255).astype(np.uint8)
+        height, width = grey.shape
+        found.append(LabelledImage(paths[0], grey, read_ground_truth(paths[0], width, height)))
+    return found
+
+
+def score_set(
+    images: Iterable[LabelledImage], rules: SetRules, find: Callable[[Pixels], Detections]
+) -> Scores:
+    """AP50, and recall and precision at the default score, of what `find` gives for each image."""
+    images = list(images)
+    lines = _channel_lines(images) if rules.only_whole_plugs else {}
+    scores, hits, n = [np.zeros(0)], [np.zeros(0)], 0
+    for one in images:
+        found = find(one.image)
+        found = found[np.argsort(-found.scores, kind="stable")]
+        ignored = _ignored(one, rules)
+        hit = _hits(found, one.truth, ignored, rules.min_iou)
+        if not rules.cut_count or rules.only_whole_plugs:
+            hit[(hit == 0) & _cut(found.boxes, one.image.shape)] = np.nan
+        if rules.only_whole_plugs:
+            line = lines[_series(one.path)]
+            hit[(hit == 0) & _beside_plugs(found.boxes, one.truth.boxes, line)] = np.nan
+        scores.append(found.scores)
+        hits.append(hit)
+        n += int((~ignored).sum())
+    return _scores(np.concatenate(scores), np.concatenate(hits), n, complete=rules.complete)
+
+
+def _scores(scores: Floats, hits: Floats, n: int, *, complete: bool) -> Scores:
+    """`hits`: 1 true, 0 false, NaN where it does not count; `n` droplets are to be found."""
+    counted = ~np.isnan(hits)
+    scores, hits = scores[counted], hits[counted]
+    order = np.argsort(-scores, kind="stable")
+    found = np.cumsum(hits[order])
+    precision = found / np.arange(1, len(found) + 1)
+    envelope = np.maximum.accumulate(precision[::-1])[::-1]
+    area = float((np.diff(np.append(0, found / n)) * envelope).sum())
+    sure = scores >= DEFAULT_SCORE
+    return Scores(
+        ap50=area if complete else np.nan,
+        recall=float(hits[sure].sum() / n),
+        precision=float(hits[sure].mean()) if complete and sure.any() else np.nan,
+    )
+
+
+def _hits(found: Detections, truth: Detections, ignored: Bools, min_iou: float) -> Floats:
+    """Of detections, best first: 1 where one finds a label that none before did, NaN if ignored."""
+    hits = np.zeros(len(found))
+    if not len(truth) or not len(found):
+        return hits
+    iou = iou_matrix(found.boxes, truth.boxes)
+    for i in range(len(found)):
+        best = int(iou[i].argmax())
+        if iou[i, best] >= min_iou:
+            iou[:, best] = -1
+            hits[i] = np.nan if ignored[best] else 1
+    return hits
+
+
+def _ignored(one: LabelledImage, rules: SetRules) -> Bools:
+    boxes = one.truth.boxes
+    ignored = boxes[:, 2:].max(axis=1, initial=0) < rules.min_size_px
+    cut = _cut(boxes, one.image.shape)
+    return np.asarray(ignored if rules.cut_count else ignored | cut)
+
+
+def _cut(boxes: Floats, shape: tuple[int, ...]) -> Bools:
+    """Boxes (N,) that touch the image's edge."""
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+    size = np.array(shape[1::-1])
+    return np.asarray((low < EDGE_PX).any(axis=1) | (high > size - EDGE_PX).any(axis=1))
+
+
+def _series(path: Path) -> str:
+    """Images of one video have names that begin alike."""
+    return path.stem.split("_")[0]
+
+
+def _channel_lines(images: Iterable[LabelledImage]) -> dict[str, Floats]:
+    """The typical box (4,) of each series: the channel is where its plugs are."""
+    series: dict[str, list[Floats]] = {}
+    for one in images:
+        series.setdefault(_series(one.path), []).append(one.truth.boxes)
+    return {name: np.median(np.concatenate(boxes), axis=0) for name, boxes in series.items()}
+
+
+def _beside_plugs(boxes: Floats, plugs: Floats, line: Floats) -> Bools:
+    """Boxes (N,) in the channel's line that are as large as a part of a plug, and beside them all.
+
+    They are plugs cut by the field stop, or about to be formed.
+    """
+    inside = np.zeros(len(boxes), bool)
+    for plug in plugs:
+        low = np.maximum(boxes[:, :2] - boxes[:, 2:] / 2, plug[:2] - plug[2:] / 2)
+        high = np.minimum(boxes[:, :2] + boxes[:, 2:] / 2, plug[:2] + plug[2:] / 2)
+        shared = np.maximum(high - low, 0).prod(axis=1)
+        inside |= shared > 0.3 * boxes[:, 2:].prod(axis=1)
+    in_line = np.abs(boxes[:, 1] - line[1]) < 0.35 * line[3]
+    large = boxes[:, 2:].max(axis=1, initial=0) > 0.5 * line[3]
+    return np.asarray(in_line & large & ~inside)
+
+
+class ScaledFinder:
+    """droptrack's network at a scale of the image, never stretched."""
+
+    def __init__(self, scale: float, weights: Path | None = None) -> None:
+        self.scale = scale
+        self._cfg, self._weights = find_network(weights)
+        self._detectors: dict[tuple[int, int], Detector] = {}
+
+    def __call__(self, image: Pixels) -> Detections:
+        """Droplets of a grey image (H, W)."""
+        canvas = Canvas.of(image.shape[1], image.shape[0], self.scale)
+        if canvas.network not in self._detectors:
+            network = Network(
+                resized(self._cfg, *canvas.network), self._weights, MIN_SCORE, MAX_IOU
+            )
+            self._detectors[canvas.network] = choose_detector(network, precision=Precision.fp32)
+        frame = canvas.extended(grey_frame(image))
+        (found,) = self._detectors[canvas.network].detect([frame])
+        return canvas.within(found)
+
+
+def rows_of(folder: Path, name: str, weights: Path | None) -> Iterator[tuple[str, Scores]]:
+    """Each method's scores on a set: the network at every scale, then the best of the others."""
+    images = read_set(folder / name)
+    for scale in SCALES:
+        largest = max(max(one.image.shape) for one in images)
+        if scale * largest <= 2200:
+            yield (
+                f"droptrack, scale {scale:.2f}",
+                score_set(images, SETS[name], ScaledFinder(scale, weights)),
+            )
+    best: dict[str, Scores] = {}
+    for method, find in finders():
+        scores = score_set(images, SETS[name], find)
+        if method not in best or scores.worth > best[method].worth:
+            best[method] = scores
+    yield from best.items()
+
+
+def run(folder: Path, weights: Path | None, sets: Iterable[str]) -> None:
+    """Print a table for each set that is there. Raises KeyError for a set without rules."""
+    console = Console(width=100)
+    for name in sets:
+        if not (folder / name).is_dir():
+            continue
+        table = Table(title=name, title_justify="left")
+        for heading in ("method", "AP50", "recall", "precision"):
+            table.add_column(heading, justify="left" if heading == "method" else "right")
+        for method, scores in rows_of(folder, name, weights):
+            values = (scores.ap50, scores.recall, scores.precision)
+            table.add_row(method, *("" if np.isnan(v) else f"{v:.3f}" for v in values))
+        console.print(table)

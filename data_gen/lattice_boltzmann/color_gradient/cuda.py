@@ -13,7 +13,7 @@ import numpy as np
 from numba import cuda
 
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
-from data_gen.lattice_boltzmann.color_gradient.compiled import Constants
+from data_gen.lattice_boltzmann.color_gradient.compiled_collision import Constants
 from data_gen.lattice_boltzmann.lattice import CX, CY, OPPOSITE, W
 
 TINY = cg.NO_GRADIENT

@@ -1,7 +1,7 @@
 """Dense emulsion through a constriction: the colour-gradient model of the paper's appendix A.
 
 Lattice units, fields indexed [y, x] with y up. This file is the reference in plain NumPy, one
-function a term; compiled.py compiles the same terms.
+function a term; compiled_*.py compile the same terms.
 
 The paper's two sets of populations cannot keep 49 droplets apart and countable. Here one set f
 carries the whole fluid, and mass fractions say what it is made of: c_k for each droplet, E for the

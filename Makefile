@@ -2,20 +2,23 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 SEED ?= 0
 SPOILT ?= 0
 DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
-.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test
+.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test docs
 
 setup: $(VENV)/.installed
 
+# with the engine that is the fastest on CPUs, wherever there are wheels of it
 $(VENV)/.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "droptrack needs Python 3.11 or newer; name one: make PYTHON=python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	$(PIP) --only-binary openvino,onnx,numba,llvmlite -e '.[openvino]' || \
+		{ echo "no OpenVINO for this machine: OpenCV runs the network, more slowly"; $(PIP) -e .; }
 	touch $@
 
 # everything for development, PyTorch and OpenVINO included; the exact PyTorch first, so that extras
@@ -23,9 +26,9 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 dev: $(VENV)/.dev
 
 $(VENV)/.dev: $(VENV)/.installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[train,openvino,simulate,dev]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt trackeval
+	$(PIP) torch
+	$(PIP) -e '.[train,openvino,simulate,dev]'
+	$(PIP) --no-deps trackeval
 	touch $@
 
 demo: setup
@@ -66,7 +69,7 @@ bench: dev
 	$(BIN)/python -m bench
 	$(BIN)/python -m bench.engines
 	$(BIN)/python -m bench.simulations
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -c constraints.txt deep-sort-realtime
+	$(PIP) --no-deps deep-sort-realtime
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers
 	$(BIN)/python -m bench.training
 
@@ -78,3 +81,11 @@ check: dev
 
 test: check
 	$(BIN)/python -m pytest
+
+# the documentation site, in site/; --strict: a broken link is an error
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+$(VENV)/.docs: $(VENV)/.installed
+	$(PIP) -e '.[docs]'
+	touch $@

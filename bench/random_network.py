@@ -1,4 +1,4 @@
-"""Weights by chance, for measuring speed and for comparing one engine with another."""
+"""Random weights, for measuring speed and for comparing one engine with another."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from droptrack.network.darknet_weights import WEIGHTS_VERSION, Weights
 
 
 def random_weights(cfg: Cfg, rng: np.random.Generator) -> Weights:
-    """Values whose layers roughly keep the size of their input, so that a slip shows."""
+    """Values whose layers roughly keep the size of their input, so that an error shows."""
     gain = 0.8 if any(layer.kind == "shortcut" for layer in cfg.layers) else 2.0
     parts = []
     for shape in convolutions(cfg):

@@ -1,15 +1,20 @@
 """All commands in one: ``droptrack track``, ``train``, ``evaluate`` and so on."""
 
-from droptrack import anchors, calibrate, evaluate, export, track, train
+from droptrack.anchors import main as anchors
+from droptrack.calibrate import main as calibrate
 from droptrack.command_line import new_app
+from droptrack.evaluate import main as evaluate
+from droptrack.export import main as export
+from droptrack.track import main as track
+from droptrack.train import main as train
 
 app = new_app()
-app.command("track")(track.main)
-app.command("train")(train.main)
-app.command("evaluate")(evaluate.main)
-app.command("calibrate")(calibrate.main)
-app.command("export")(export.main)
-app.command("anchors")(anchors.main)
+app.command("track")(track)
+app.command("train")(train)
+app.command("evaluate")(evaluate)
+app.command("calibrate")(calibrate)
+app.command("export")(export)
+app.command("anchors")(anchors)
 
 if __name__ == "__main__":
     app()

@@ -1,7 +1,9 @@
 """What the commands share: how they report problems."""
 
 import functools
+import sys
 from collections.abc import Callable
+from types import ModuleType
 from typing import ParamSpec, TypeVar
 
 import typer
@@ -35,3 +37,16 @@ def one_line_errors(command: Callable[P, R]) -> Callable[P, R]:
 def new_app() -> typer.Typer:
     """A Typer application with the project's settings."""
     return typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+def also_call(module: str, function: Callable[..., object]) -> None:
+    """Let a command's module be called like the function of its name in the public API.
+
+    ``droptrack.track`` is that function until somebody imports the module ``droptrack.track``,
+    which Python then puts in its place.
+    """
+
+    class CallableModule(ModuleType):
+        __call__ = staticmethod(function)
+
+    sys.modules[module].__class__ = CallableModule

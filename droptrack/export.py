@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from droptrack.command_line import new_app, one_line_errors
-from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg, parse_size
-from droptrack.network.darknet_cfg import read_cfg, resized
+from droptrack.network.bundled import find_network
 from droptrack.network.darknet_weights import read_weights
+from droptrack.options import CfgOption, SizeOption
 
 app = new_app()
 
@@ -17,32 +17,25 @@ app = new_app()
 @one_line_errors
 def main(
     weights: Annotated[
-        Path | None, typer.Argument(help="Darknet weights; without, the network that ships.")
+        Path | None, typer.Argument(help="Darknet weights (.weights); default: the bundled model.")
     ] = None,
-    cfg: Annotated[
-        Path | None, typer.Option(help="Network description; without, by the weights' name.")
-    ] = None,
+    cfg: CfgOption = None,
     out: Annotated[
-        Path | None, typer.Option(help="File to write; default: the weights' name, .onnx, here.")
+        Path | None,
+        typer.Option(help="File to write; default: the weights' name with .onnx, in this folder."),
     ] = None,
-    size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="Input, px; without, the cfg's.")
-    ] = None,
+    size: SizeOption = None,
     decode: Annotated[
-        bool, typer.Option("--decode", help="One output: boxes, objectness, probabilities.")
+        bool,
+        typer.Option("--decode", help="Decode in the model: boxes, objectness, probabilities."),
     ] = False,
 ) -> None:
     """Write a network as an ONNX model, which nearly every inference engine reads."""
-    from droptrack.network.onnx_export import onnx_model, write_onnx
+    from droptrack.network.onnx_export import export_onnx
 
-    weights = weights or BUNDLED_WEIGHTS
-    network = read_cfg(cfg or find_cfg(weights))
-    if size is not None:
-        network = resized(network, *parse_size(size))
-    model = onnx_model(network, read_weights(weights, network), decode=decode)
-    out = out or Path(f"{weights.stem}.onnx")
-    write_onnx(out, model)
-    outputs = ", ".join(output.name for output in model.graph.output)
+    network, path = find_network(weights, cfg, size)
+    out = out or Path(f"{path.stem}.onnx")
+    outputs = ", ".join(export_onnx(out, network, read_weights(path, network), decode=decode))
     typer.echo(f"{out}: images (batch, 3, {network.height}, {network.width}) -> {outputs}")
 
 

@@ -22,5 +22,5 @@ BackendOption = Annotated[
 ]
 PrecisionOption = Annotated[
     Precision,
-    typer.Option(help="What it computes in; auto: the fastest that was checked; fp32: exact."),
+    typer.Option(help="What the network computes in; auto: the fastest checked; fp32: exact."),
 ]

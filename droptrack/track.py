@@ -1,212 +1,144 @@
-"""Command: follow the droplets in a video, ``python -m droptrack.track``."""
+"""Command: track the droplets of a video, ``python -m droptrack.track``."""
 
 import functools
-import time
-from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from droptrack.command_line import new_app, one_line_errors
-from droptrack.compiled import explained
-from droptrack.data.report import Value
-from droptrack.data.stage_times import StageTimes
-from droptrack.data.trajectories import TrajectoryWriter
-from droptrack.data.video import Video, VideoWriter
-from droptrack.detection import decoding
-from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
+from droptrack.api import track
+from droptrack.command_line import also_call, new_app, one_line_errors
+from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
-from droptrack.measurement import centre_of_mass
-from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg, parse_size
-from droptrack.network.darknet_cfg import read_cfg, resized
-from droptrack.network.quantisation import sha256_of
-from droptrack.pipeline.from_detections import track_detections
-from droptrack.pipeline.run import FURTHER_COLUMNS, Results, finish, follow
-from droptrack.pipeline.threads import AnnotatedVideo
-from droptrack.progress import progress_bar
-from droptrack.tracking.choice import TrackerName, choose_appearance, make_tracker
-from droptrack.tracking.deepsort import Parameters
-from droptrack.version import __version__
+from droptrack.options import BackendOption, CfgOption, PrecisionOption, SizeOption, WeightsOption
+from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, DetectionsConfig, TrackingConfig
+from droptrack.pipeline.from_detections import run_detections
+from droptrack.pipeline.run import run
+from droptrack.tracking.choice import TrackerConfig, TrackerName
 
 app = new_app()
+also_call(__name__, track)
 
 
 @app.command()
 @one_line_errors
 def main(
     video: Annotated[
-        str | None, typer.Argument(help="Video file, folder of images, or camera index.")
+        str | None,
+        typer.Argument(help="Video file, folder of images, index of a camera, or a stream."),
     ] = None,
     detections: Annotated[
         Path | None, typer.Option(help="Instead of a video: boxes in MOT Challenge's format.")
     ] = None,
     descriptors: Annotated[
-        Path | None, typer.Option(help="What they look like: .npy, a row for each.")
+        Path | None,
+        typer.Option(help="With --detections: appearance descriptors, .npy, a row for each box."),
     ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Darknet weights; without, the network that ships.")
-    ] = None,
-    cfg: Annotated[
-        Path | None, typer.Option(help="Network description; without, by the weights' name.")
-    ] = None,
+    weights: WeightsOption = None,
+    cfg: CfgOption = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the results; default tracks/<video's name>.")
+        Path | None, typer.Option(help="Folder for the results; default: tracks/<video's name>.")
     ] = None,
-    no_video: Annotated[bool, typer.Option("--no-video", help="No annotated video.")] = False,
-    backend: Annotated[
-        Backend, typer.Option(help="What runs the network; auto: the fastest that works here.")
-    ] = Backend.auto,
-    precision: Annotated[
-        Precision, typer.Option(help="auto: the fastest that was checked; fp32: the exact network.")
-    ] = Precision.auto,
-    size: Annotated[
-        str | None, typer.Option(metavar="WxH", help="The network's input, px; default the cfg's.")
-    ] = None,
+    no_video: Annotated[bool, typer.Option("--no-video", help="Write no annotated video.")] = False,
+    backend: BackendOption = Backend.auto,
+    precision: PrecisionOption = Precision.auto,
+    size: SizeOption = None,
     live: Annotated[
         bool | None,
         typer.Option(
             "--live/--every-frame",
-            help="Always the newest frame, others dropped; default for cameras and streams.",
+            help="Always take the newest frame and drop others; default for cameras and streams.",
         ),
     ] = None,
-    score: Annotated[float, typer.Option(min=0, max=1, help="Least score of a droplet.")] = 0.4,
+    score: Annotated[
+        float, typer.Option(min=0, max=1, help="Minimum score of a droplet.")
+    ] = MIN_SCORE,
     max_iou: Annotated[
-        float, typer.Option(min=0, max=1, help="Overlap from which two boxes are one droplet.")
-    ] = 0.3,
+        float, typer.Option(min=0, max=1, help="IoU above which two boxes are one droplet.")
+    ] = MAX_IOU,
     dark: Annotated[
-        bool, typer.Option("--dark", help="Droplets are darker than what is around them.")
+        bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
     ] = False,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
-    max_frames: Annotated[int, typer.Option(min=0, help="Stop after these; 0: never.")] = 0,
-    tracker: Annotated[TrackerName, typer.Option(help="How.")] = TrackerName.droplet,
+    max_frames: Annotated[
+        int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
+    ] = 0,
+    tracker: Annotated[
+        TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
+    ] = TrackerName.droplet,
     appearance: Annotated[
-        Path | None, typer.Option(help="Network that tells droplets apart: .onnx, or Darknet .cfg.")
+        Path | None,
+        typer.Option(help="Network that tells droplets apart: an .onnx file or a Darknet .cfg."),
     ] = None,
-    appearance_weights: Annotated[Path | None, typer.Option(help="Of that .cfg.")] = None,
+    appearance_weights: Annotated[
+        Path | None, typer.Option(help="Weights of an --appearance .cfg.")
+    ] = None,
     appearance_size: Annotated[
-        tuple[int, int], typer.Option(help="Width and height of that network's input, px.")
-    ] = (64, 64),
+        tuple[int, int], typer.Option(help="Width and height of the --appearance input, px.")
+    ] = TrackerConfig.appearance_size,
     max_age: Annotated[
         int | None, typer.Option(min=1, help="Frames that a droplet may be missed.")
     ] = None,
     n_init: Annotated[
-        int | None, typer.Option(min=1, help="Detections that make a droplet.")
+        int | None, typer.Option(min=1, help="Detections that confirm a droplet.")
     ] = None,
     max_cosine_distance: Annotated[
-        float, typer.Option(min=0, help="DeepSORT's, as the next two.")
-    ] = Parameters.max_cosine_distance,
-    nn_budget: Annotated[int, typer.Option(min=1)] = Parameters.nn_budget,
-    max_iou_distance: Annotated[float, typer.Option(min=0, max=1)] = Parameters.max_iou_distance,
+        float, typer.Option(min=0, help="DeepSORT: maximum distance of appearance descriptors.")
+    ] = TrackerConfig.max_cosine_distance,
+    nn_budget: Annotated[
+        int, typer.Option(min=1, help="DeepSORT: descriptors kept of each track.")
+    ] = TrackerConfig.nn_budget,
+    max_iou_distance: Annotated[
+        float, typer.Option(min=0, max=1, help="DeepSORT: maximum of 1 - IoU of a match.")
+    ] = TrackerConfig.max_iou_distance,
 ) -> None:
-    """Follow the droplets in a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
-    follower, tracker_settings = make_tracker(
-        tracker,
-        Parameters(max_cosine_distance, nn_budget, max_iou_distance),
+    """Track the droplets of a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
+    say = functools.partial(typer.echo, err=True)
+    tracking = TrackerConfig(
+        name=tracker,
         max_age=max_age,
         n_init=n_init,
-        by_appearance=appearance is not None or descriptors is not None,
+        max_cosine_distance=max_cosine_distance,
+        nn_budget=nn_budget,
+        max_iou_distance=max_iou_distance,
+        appearance=appearance,
+        appearance_weights=appearance_weights,
+        appearance_size=appearance_size,
     )
     if detections is not None:
         if video is not None or appearance is not None:
             raise DroptrackError("--detections takes the place of a video and its networks")
-        track_detections(detections, descriptors, follower, tracker_settings, out)
-        return
-    if video is None or descriptors is not None:
+        done = run_detections(
+            DetectionsConfig(
+                detections=detections, descriptors=descriptors, out=out, tracker=tracking
+            ),
+            say,
+        )
+    elif video is None or descriptors is not None:
         raise DroptrackError("name a video, or a file with --detections (and --descriptors)")
-    weights = weights or BUNDLED_WEIGHTS
-    describe = choose_appearance(tracker, appearance, appearance_weights, appearance_size)
-    network = read_cfg(cfg or find_cfg(weights))
-    if size is not None:
-        network = resized(network, *parse_size(size))
-    source = Video(video)
-    info = source.info
-    live = source.live if live is None else live
-    say = functools.partial(typer.echo, err=True)
-    with explained(say):
-        decoding.load_loops()
-        centre_of_mass.load_loops()
-    detector = choose_detector(
-        Network(network, weights, score, max_iou, dark), backend, precision, live=live, say=say
-    )
-    out = out or Path("tracks") / (Path(video).stem or "camera")
-    if Path(video).resolve() == (out / "tracked.mp4").resolve():
-        raise DroptrackError(f"{video}: would be overwritten by the results; choose another --out")
-    out.mkdir(parents=True, exist_ok=True)
-    about: dict[str, Value] = {
-        "made by": f"droptrack {__version__}, droptrack.track",
-        "video": f"{video}, {info.width} x {info.height} px, {info.fps:g} frames/s",
-        "network": f"{network.path}, {weights}",
-        "weights sha256": sha256_of(weights),
-        "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
-    }
-    settings: dict[str, Value] = {
-        **about,
-        "backend": detector.engine.name,
-        "network_size": [network.width, network.height],
-        "live": live,
-        "score": score,
-        "max_iou": max_iou,
-        "dark": dark,
-        **tracker_settings,
-    }
-    problem: DroptrackError | None = None
-    began = time.perf_counter()
-    with TrajectoryWriter(out / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
-        times = StageTimes()
-        writer = (
-            None
-            if no_video
-            else AnnotatedVideo(VideoWriter(out / "tracked.mp4", info, "mp4v"), times)
+    else:
+        config = TrackingConfig(
+            video=video,
+            out=out,
+            weights=weights,
+            cfg=cfg,
+            size=size,
+            backend=backend,
+            precision=precision,
+            live=live,
+            score=score,
+            max_iou=max_iou,
+            dark=dark,
+            batch=batch,
+            max_frames=max_frames,
+            annotated_video=not no_video,
+            tracker=tracking,
         )
-        results = Results(rows, writer, times)
-        frames = islice(source.numbered(), max_frames or None)
-        total = min(info.n_frames or max_frames, max_frames or info.n_frames)
-        typer.echo(
-            f"{video}: {network.path.stem}, {network.width} x {network.height} px, on "
-            f"{detector.engine.name}",
-            err=True,
-        )
-        with progress_bar("frames") as progress:
-            task = progress.add_task("tracking", total=total or None, note="")
-            try:
-                following = follow(
-                    frames, detector, follower, describe, results, batch=batch, live=live
-                )
-                for done in following:
-                    rate = done / (time.perf_counter() - began)
-                    progress.update(task, completed=done, note=f"{rate:.1f} frames/s")
-            except KeyboardInterrupt:
-                problem = DroptrackError(f"interrupted after {results.n_frames} frames")
-            except DroptrackError as error:
-                problem = error
-        try:
-            if writer is not None:
-                writer.close()
-        except DroptrackError as error:
-            problem = problem or error
-    n_missing = 0 if live or problem else max(0, total - results.n_frames)
-    finish(
-        out, (info.width, info.height), settings, results, n_missing, time.perf_counter() - began
-    )
-    if problem is not None:
-        raise DroptrackError(f"{problem}; what was tracked until there is in {out}")
-    if n_missing:
-        typer.echo(
-            f"{video}: {n_missing} of the {total} frames it claims could not be decoded: it is "
-            "damaged, or ends early",
-            err=True,
-        )
-    if results.n_frames and not results.n_detections:
-        shade, cure = ("brighter", "leave out") if dark else ("darker", "add")
-        typer.echo(
-            f"{video}: no droplets found; if they are {shade} than what is around them, {cure} "
-            "--dark",
-            err=True,
-        )
-    if results.n_dropped:
-        typer.echo(f"{video}: {results.n_dropped} frames dropped, newer ones were there", err=True)
-    typer.echo(f"results in {out}")
+        done = run(config, say)
+    done.report.print()
+    if done.problem is not None:
+        raise done.problem
+    typer.echo(f"results in {done.folder}")
 
 
 if __name__ == "__main__":

@@ -82,7 +82,7 @@ def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     return table[:, 0].astype(np.int64), table[:, 1:]
 
 
-def read_truth(image: Path, width: int, height: int) -> Detections:
+def read_ground_truth(image: Path, width: int, height: int) -> Detections:
     """The labels of an image of the given size, in px."""
     class_ids, boxes_relative = read_labels(image)
     boxes = boxes_relative * np.array([width, height, width, height], float)

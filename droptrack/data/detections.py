@@ -1,7 +1,7 @@
-"""Detections of one frame, box conversions, overlaps, suppression of doubles.
+"""Detections of one frame, box conversions, IoU, non-maximum suppression.
 
 Boxes are (N, 4) float64 [cx, cy, w, h] px; every other layout has its name: `boxes_xyxy` is
-[left, top, right, bottom], `boxes_relative` is [cx, cy, w, h] as fractions of the picture's size.
+[left, top, right, bottom], `boxes_relative` is [cx, cy, w, h] as fractions of the image's size.
 """
 
 from dataclasses import dataclass

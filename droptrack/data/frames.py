@@ -10,17 +10,17 @@ Frame = NDArray[np.uint8]
 
 
 def grey_frame(plane: NDArray[np.uint8]) -> Frame:
-    """A grey picture (H, W) as a frame (H, W, 3): a view, which takes no memory of its own."""
+    """A grey image (H, W) as a frame (H, W, 3): a view, which takes no memory of its own."""
     return np.broadcast_to(plane[..., None], (*plane.shape, 3))
 
 
 def grey_plane(frame: Frame) -> NDArray[np.uint8] | None:
-    """The picture (H, W) that a frame of `grey_frame` shows; None of other frames."""
+    """The image (H, W) that a frame of `grey_frame` shows; None of other frames."""
     return frame[..., 0] if frame.strides[2] == 0 else None
 
 
 def grey_planes(frames: Sequence[Frame]) -> list[NDArray[np.uint8]] | None:
-    """The pictures (H, W) that frames of `grey_frame` show; None where one is another frame."""
+    """The images (H, W) that frames of `grey_frame` show; None where one is another frame."""
     planes = [plane for frame in frames if (plane := grey_plane(frame)) is not None]
     return planes if len(planes) == len(frames) else None
 

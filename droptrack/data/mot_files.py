@@ -23,7 +23,7 @@ from droptrack.errors import DroptrackError
 
 N_COLUMNS = 7
 FORMAT = "frame,-1,left,top,width,height,score"
-MOST_FRAMES = 10_000_000
+MAX_FRAMES = 10_000_000
 BLOCK = 20_000  # rows that are read, and sorted, at once
 MERGE_BLOCK = 500  # rows of each sorted block that are held while blocks are merged
 
@@ -130,7 +130,7 @@ def _check(path: Path, table: Floats, n_before: int) -> None:
     for problem, bad in (
         ("a frame should be a whole number from 1", ~(np.isfinite(number) & (number >= 1))),
         ("a frame should be a whole number from 1", number != np.round(number)),
-        (f"a frame should be {MOST_FRAMES} or less", number > MOST_FRAMES),
+        (f"a frame should be {MAX_FRAMES} or less", number > MAX_FRAMES),
         ("boxes and scores should be finite", ~np.isfinite(table[:, 2:]).all(axis=1)),
         ("boxes need a width and height above 0", ~(size > 0).all(axis=1)),
     ):

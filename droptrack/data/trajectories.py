@@ -1,4 +1,4 @@
-"""Trajectories: the one table of results and of truth, and its CSV file.
+"""Trajectories: the one table of results and of ground truth, and its CSV file.
 
 A file begins with ``# key: value`` lines that say what made it, then has the columns
 ``frame,track_id,x,y,w,h,score,observed`` and possibly more. Frames count from 0, tracks from 1.
@@ -6,15 +6,20 @@ A file begins with ``# key: value`` lines that say what made it, then has the co
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TextIO
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.files import read_text
 from droptrack.errors import DroptrackError
+
+if TYPE_CHECKING:
+    import pandas
 
 COLUMNS = ("frame", "track_id", "x", "y", "w", "h", "score", "observed")
 BOX_CENTRE = ("box_x", "box_y")  # further columns of ours
@@ -26,66 +31,119 @@ class Trajectories:
 
     frame, track_id (M,) int64; x, y (M,) float64, the centre of mass in px, where pixel c covers
     [c, c + 1); boxes (M, 4) float64 [cx, cy, w, h] px; scores (M,) float64; observed (M,) bool,
-    false where a gap was bridged. In a truth, score 0 marks droplets that a tracker need not find,
-    such as those cut off by the picture's edge (as in MOT Challenge). Raises ValueError for other
-    shapes, values that are not finite, or a pair given twice.
+    false where a gap was bridged; columns: further arrays (M,) by their names in the file. In
+    ground truth, score 0 marks droplets that a tracker need not find, such as those cut off by the
+    image's edge (as in MOT Challenge). Raises ValueError for other shapes, values that are not
+    finite, or a pair given twice.
+
+    >>> rows = Trajectories(
+    ...     frame=np.array([0, 1]),
+    ...     track_id=np.array([1, 1]),
+    ...     x=np.array([4.5, 6.5]),
+    ...     y=np.array([3.0, 3.0]),
+    ...     boxes=np.array([[4.5, 3, 2, 2], [6.5, 3, 2, 2]]),
+    ...     scores=np.ones(2),
+    ...     observed=np.ones(2, bool),
+    ... )
+    >>> len(rows), rows[rows.frame == 1].x.tolist()
+    (2, [6.5])
     """
 
-    frame: NDArray[np.int64]
-    track_id: NDArray[np.int64]
-    x: NDArray[np.float64]
-    y: NDArray[np.float64]
-    boxes: NDArray[np.float64]
-    scores: NDArray[np.float64]
-    observed: NDArray[np.bool_]
+    frame: Rows
+    track_id: Rows
+    x: Floats
+    y: Floats
+    boxes: Floats
+    scores: Floats
+    observed: Bools
+    columns: Mapping[str, NDArray[Any]] = field(default_factory=lambda: MappingProxyType({}))
 
     def __post_init__(self) -> None:
         m = len(self.frame)
-        for field in fields(self):
-            array = getattr(self, field.name)
-            shape = (m, 4) if field.name == "boxes" else (m,)
+        for name, array in (*self._arrays().items(), *self.columns.items()):
+            shape = (m, 4) if name == "boxes" else (m,)
             if array.shape != shape:
-                raise ValueError(f"{field.name} should have shape {shape}, not {array.shape}")
+                raise ValueError(f"{name} should have shape {shape}, not {array.shape}")
+        for name, array in self._arrays().items():
             if array.dtype.kind == "f" and not np.isfinite(array).all():
-                raise ValueError(f"{field.name} should be finite")
+                raise ValueError(f"{name} should be finite")
         step = np.diff(self.frame)
         if (step < 0).any() or (np.diff(self.track_id)[step == 0] <= 0).any():
             raise ValueError("rows should be sorted by (frame, track_id), each pair once")
 
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {name: getattr(self, name) for name in FIELDS}
+
     def __len__(self) -> int:
         return len(self.frame)
 
-    def __getitem__(self, rows: NDArray[np.bool_] | slice) -> "Trajectories":
-        return Trajectories(*(getattr(self, field.name)[rows] for field in fields(self)))
+    def __getitem__(self, rows: Bools | Rows | slice) -> "Trajectories":
+        return Trajectories(
+            **{name: array[rows] for name, array in self._arrays().items()},
+            columns={name: array[rows] for name, array in self.columns.items()},
+        )
+
+    def to_pandas(self) -> "pandas.DataFrame":
+        """A table with trackpy's columns ``frame, particle, x, y``, then all the others.
+
+        `particle` is the track_id; ``box_x, box_y, w, h`` are the boxes. Needs pandas: raises
+        DroptrackError where it is not installed.
+
+        >>> table = Trajectories(
+        ...     frame=np.array([0]),
+        ...     track_id=np.array([7]),
+        ...     x=np.array([4.5]),
+        ...     y=np.array([3.0]),
+        ...     boxes=np.array([[4.5, 3, 2, 2]]),
+        ...     scores=np.ones(1),
+        ...     observed=np.ones(1, bool),
+        ... ).to_pandas()
+        >>> table[["frame", "particle", "x", "y"]].values.tolist()
+        [[0.0, 7.0, 4.5, 3.0]]
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise DroptrackError("tables need pandas: pip install 'droptrack[pandas]'") from None
+        boxes = dict(zip((*BOX_CENTRE, "w", "h"), self.boxes.T, strict=True))
+        fixed = {"frame": self.frame, "particle": self.track_id, "x": self.x, "y": self.y}
+        rest = {"score": self.scores, "observed": self.observed}
+        return pandas.DataFrame({**fixed, **boxes, **rest, **self.columns})
 
 
-def joined_trajectories(parts: Sequence[Trajectories]) -> Trajectories:
-    """Rows of later and later frames, one part after the other."""
-    names = [field.name for field in fields(Trajectories)]
+FIELDS = tuple(one.name for one in fields(Trajectories) if one.name != "columns")
+
+
+def concatenate(parts: Sequence[Trajectories]) -> Trajectories:
+    """Rows of later and later frames, one part after the other, which have the same columns."""
+    names = parts[0].columns if parts else ()
     return Trajectories(
-        *(np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in FIELDS},
+        columns={name: np.concatenate([part.columns[name] for part in parts]) for name in names},
     )
 
 
 def sorted_trajectories(
-    frame: NDArray[np.int64],
-    track_id: NDArray[np.int64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    boxes: NDArray[np.float64],
-    scores: NDArray[np.float64],
-    observed: NDArray[np.bool_],
+    frame: Rows,
+    track_id: Rows,
+    x: Floats,
+    y: Floats,
+    boxes: Floats,
+    scores: Floats,
+    observed: Bools,
+    columns: Mapping[str, NDArray[Any]] = MappingProxyType({}),
 ) -> Trajectories:
     """Trajectories from rows in any order."""
     order = np.lexsort((track_id, frame))
     return Trajectories(
-        frame[order],
-        track_id[order],
-        x[order],
-        y[order],
-        boxes[order],
-        scores[order],
-        observed[order],
+        frame=frame[order],
+        track_id=track_id[order],
+        x=x[order],
+        y=y[order],
+        boxes=boxes[order],
+        scores=scores[order],
+        observed=observed[order],
+        columns={name: array[order] for name, array in columns.items()},
     )
 
 
@@ -139,9 +197,9 @@ class TrajectoryWriter:
 
 
 def write_trajectories(path: Path, rows: Trajectories, about: Mapping[str, object]) -> None:
-    """Write a whole trajectories file, box centres as further columns."""
-    with TrajectoryWriter(path, about, BOX_CENTRE) as writer:
-        writer.write(rows, (rows.boxes[:, 0], rows.boxes[:, 1]))
+    """Write a whole trajectories file: box centres, then the rows' further columns."""
+    with TrajectoryWriter(path, about, (*BOX_CENTRE, *rows.columns)) as writer:
+        writer.write(rows, (rows.boxes[:, 0], rows.boxes[:, 1], *rows.columns.values()))
 
 
 def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
@@ -171,16 +229,17 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     if table.shape[1] != len(header):
         raise DroptrackError(f"{path}: rows should have {len(header)} columns as the first line")
     column = dict(zip(header, table.T, strict=True))
-    centre = [column.get(name, column[name[-1]]) for name in BOX_CENTRE]
+    centre = [column.pop(name, column[name[-1]]) for name in BOX_CENTRE]
     try:
         rows = sorted_trajectories(
-            column["frame"].astype(np.int64),
-            column["track_id"].astype(np.int64),
-            column["x"],
-            column["y"],
-            np.column_stack([*centre, column["w"], column["h"]]),
-            column["score"],
-            column["observed"].astype(bool),
+            frame=column["frame"].astype(np.int64),
+            track_id=column["track_id"].astype(np.int64),
+            x=column["x"],
+            y=column["y"],
+            boxes=np.column_stack([*centre, column["w"], column["h"]]),
+            scores=column["score"],
+            observed=column["observed"].astype(bool),
+            columns={name: column[name] for name in column if name not in COLUMNS},
         )
     except ValueError as error:
         raise DroptrackError(f"{path}: {error}") from None

@@ -21,7 +21,8 @@ IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".p
 DEFAULT_FPS = 25.0  # of sources that do not say
 GREY = 4  # levels that the colours of a grey frame may differ by, from a codec's rounding
 LOOK_FOR_COLOUR = 25  # frames from one look to the next, in Motion JPEG
-MOST_DAMAGED = 10_000  # frames one after the other that cannot be decoded, before the end is
+# frames one after the other that cannot be decoded, before that is taken for the end
+MAX_DAMAGED = 10_000
 STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
 
@@ -178,7 +179,7 @@ def _read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int
                 yield index, frame if grey is None else grey
             else:
                 n_failed += 1
-                if index >= claimed or n_failed > MOST_DAMAGED:
+                if index >= claimed or n_failed > MAX_DAMAGED:
                     return
     finally:
         capture.release()
@@ -187,7 +188,7 @@ def _read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int
 def _read_jpegs(path: Path, capture: cv2.VideoCapture) -> Iterator[tuple[int, Frame]] | None:
     """Frames of a Motion JPEG file; None for other sources, and for other forms of it.
 
-    OpenCV decodes a JPEG picture in less time than FFmpeg, a grey one in half of it, and tells when
+    OpenCV decodes a JPEG image in less time than FFmpeg, a grey one in half of it, and tells when
     one is damaged.
     """
     code = (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little")
@@ -217,7 +218,7 @@ def _packets(path: Path) -> Iterator[NDArray[np.uint8]]:
 
 
 def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]]:
-    """The frames of JPEG pictures, grey until one has a colour that an eighth of its size shows.
+    """The frames of JPEG images, grey until one has a colour that an eighth of its size shows.
 
     Only some are looked at for that, since it takes as long as decoding them.
     """

@@ -9,8 +9,12 @@ from scipy.special import expit, logit
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Float32s
 from droptrack.data.detections import Detections
-from droptrack.detection.suppression import LEAST_OF_SCORE, OUTSIDE, suppress_doubles
-from droptrack.network.darknet_cfg import YoloHead
+from droptrack.detection.suppression import (
+    MIN_SHARE_OF_SCORE,
+    MIN_SHARE_OUTSIDE,
+    suppress_duplicates,
+)
+from droptrack.network.darknet_cfg import MAX_LOG_SIZE, YoloHead
 
 
 def load_loops() -> ModuleType | None:
@@ -21,13 +25,13 @@ def load_loops() -> ModuleType | None:
 def decode_heads(
     maps: Sequence[Float32s], heads: Sequence[YoloHead], threshold: float
 ) -> list[Float32s]:
-    """Of each picture, the rows (N, 5 + C) of all heads from their maps (B, A * (5 + C), h, w)."""
+    """Of each image, the rows (N, 5 + C) of all heads from their maps (B, A * (5 + C), h, w)."""
     found = []
-    for picture in range(len(maps[0])):
+    for image in range(len(maps[0])):
         parts = []
         for raw, head in zip(maps, heads, strict=True):
             shape = (len(head.mask), 5 + head.classes, *raw.shape[2:])
-            parts.append(decode_head(raw[picture].reshape(shape), head, threshold))
+            parts.append(decode_head(raw[image].reshape(shape), head, threshold))
         found.append(np.concatenate(parts))
     return found
 
@@ -36,15 +40,17 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     """Decode a head's map of logits (A, 5 + C, rows, columns).
 
     Returns rows (N, 5 + C) of those predictions whose objectness is above the threshold: the box
-    [cx, cy, w, h] relative to the picture, objectness, class probabilities (YOLOv3, section 2.1).
+    [cx, cy, w, h] relative to the image, objectness, class probabilities (YOLOv3, section 2.1).
     """
     rows, columns = raw.shape[2:]
-    least = logit(threshold)
+    min_logit = logit(threshold)
     if (loops := load_loops()) is not None:
         whole = np.ascontiguousarray(raw, np.float32)
-        found = loops.decode_head(whole, head.anchors, head.stride, head.scale_x_y, least)
+        found = loops.decode_head(
+            whole, head.anchors, head.stride, head.scale_x_y, min_logit, MAX_LOG_SIZE
+        )
         return np.asarray(found)
-    likely = np.flatnonzero(raw[:, 4] > least)
+    likely = np.flatnonzero(raw[:, 4] > min_logit)
     if not len(likely):
         return np.zeros((0, raw.shape[1]), np.float32)
     anchor, cell = np.divmod(likely, rows * columns)
@@ -52,7 +58,7 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     chosen = raw[anchor, :, row, column]  # (N, 5 + C)
     probability = expit(chosen)
     in_cell = head.scale_x_y * (probability[:, :2] - 0.5) + 0.5
-    size = np.exp(np.minimum(chosen[:, 2:4], 10)) * head.anchors[anchor] / head.stride
+    size = np.exp(np.minimum(chosen[:, 2:4], MAX_LOG_SIZE)) * head.anchors[anchor] / head.stride
     found = np.empty(chosen.shape, np.float32)
     found[:, 0] = (in_cell[:, 0] + column) / columns
     found[:, 1] = (in_cell[:, 1] + row) / rows
@@ -70,14 +76,14 @@ def select(
     *,
     greedy: bool = False,
 ) -> Detections:
-    """Decoded rows (N, 5 + C) of all heads -> the detections in a picture of the given size.
+    """Decoded rows (N, 5 + C) of all heads -> the detections in an image of the given size.
 
     A score is objectness times the best class's probability; those up to the threshold are dropped,
-    then the doubles (`suppress_doubles`).
+    then the duplicates (`suppress_duplicates`).
     """
     if (loops := load_loops()) is not None:
         whole = np.ascontiguousarray(rows, np.float32)
-        settings = loops.Suppression(max_iou, OUTSIDE, LEAST_OF_SCORE)
+        settings = loops.Suppression(max_iou, MIN_SHARE_OUTSIDE, MIN_SHARE_OF_SCORE)
         return Detections(*loops.select(whole, width, height, threshold, greedy, settings))
     scores = rows[:, 4:5] * rows[:, 5:]  # (N, C)
     class_ids = scores.argmax(axis=1)
@@ -86,4 +92,4 @@ def select(
     kept = np.flatnonzero((best > threshold) & sized)
     boxes = rows[kept, :4].astype(np.float64) * [width, height, width, height]
     found = Detections(boxes, best[kept], class_ids[kept])
-    return suppress_doubles(found, max_iou, greedy=greedy)
+    return suppress_duplicates(found, max_iou, greedy=greedy)

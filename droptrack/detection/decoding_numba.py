@@ -45,7 +45,7 @@ def _overlap(boxes: Floats, i: int, k: int) -> float:
 def _suppress(
     boxes: Floats, class_ids: Rows, order: Rows, max_iou: float, dropped: Bools, best: Rows
 ) -> None:
-    """Put into `best` (N,) the first in order that each box is a double of, or itself.
+    """Put into `best` (N,) the first in order that each box is a duplicate of, or itself.
 
     Boxes are gone through in `order`, without those that were dropped.
     """
@@ -74,9 +74,9 @@ def _drop_between(
     n, found = 0, False
     for b in range(len(boxes)):
         m = best[b]
-        least = settings.score * scores[m]
+        min_score = settings.score * scores[m]
         inside = _intersection(boxes, b, m) / (boxes[b, 2] * boxes[b, 3])
-        if dropped[b] or m == b or scores[b] < least or 1 - inside <= settings.outside:
+        if dropped[b] or m == b or scores[b] < min_score or 1 - inside <= settings.outside:
             continue
         for a in beside[:n]:
             if best[a] == m and _overlap(boxes, a, b) <= settings.max_iou:
@@ -89,23 +89,28 @@ def _drop_between(
 
 
 # compiled when they are imported, not at the first frame
-@njit((_MAP, _FLOATS, types.float64, types.float64, types.float64), **FAST)
+@njit((_MAP, _FLOATS, types.float64, types.float64, types.float64, types.float64), **FAST)
 def decode_head(
-    raw: Float32s, anchors: Floats, stride: float, scale_x_y: float, least: float
+    raw: Float32s,
+    anchors: Floats,
+    stride: float,
+    scale_x_y: float,
+    min_logit: float,
+    max_log_size: float,
 ) -> Float32s:
-    """`decoding.decode_head`, where `least` is the threshold's logit."""
+    """`decoding.decode_head`, where `min_logit` is the threshold's logit."""
     n_anchors, n_values, n_rows, n_columns = raw.shape
     n = 0
     for anchor in range(n_anchors):
         for row in range(n_rows):
             for logit in raw[anchor, 4, row]:
-                n += logit > least
+                n += logit > min_logit
     found = np.empty((n, n_values), np.float32)
     n = 0
     for anchor in range(n_anchors):
         for row in range(n_rows):
             for column in range(n_columns):
-                if not raw[anchor, 4, row, column] > least:
+                if not raw[anchor, 4, row, column] > min_logit:
                     continue
                 values = raw[anchor, :, row, column]
                 for k in range(n_values):
@@ -113,7 +118,7 @@ def decode_head(
                 found[n, 0] = (scale_x_y * (found[n, 0] - 0.5) + 0.5 + column) / n_columns
                 found[n, 1] = (scale_x_y * (found[n, 1] - 0.5) + 0.5 + row) / n_rows
                 for k, cells in ((2, n_columns), (3, n_rows)):
-                    size = np.exp(min(values[k], np.float32(10))) * anchors[anchor, k - 2]
+                    size = np.exp(min(values[k], np.float32(max_log_size))) * anchors[anchor, k - 2]
                     found[n, k] = size / stride / cells
                 n += 1
     return found

@@ -52,9 +52,9 @@ class Engine(Protocol):
 class Detector:
     """Finds droplets in frames with an engine.
 
-    `threshold`: least score of a detection; `max_iou`: overlap from which two detections are one
+    `threshold`: minimum score of a detection; `max_iou`: IoU above which two detections are one
     droplet; `dark`: droplets are darker than what is around them, and the network learned bright
-    ones, so that it is shown the negative; `greedy`: as for `suppress_doubles`.
+    ones, so that it is shown the negative; `greedy`: as for `suppress_duplicates`.
     """
 
     def __init__(

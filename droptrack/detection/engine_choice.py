@@ -79,11 +79,11 @@ def choose_detector(
     precision: Precision = Precision.auto,
     *,
     live: bool = False,
-    say: Callable[[str], None] = lambda _: None,
+    say: Callable[[str], object] = lambda _: None,
 ) -> Detector:
     """A detector on the engine and with the precision wanted.
 
-    `auto` takes the fastest that is installed and computes a picture, and tells `say` which did
+    `auto` takes the fastest that is installed and computes an image, and tells `say` which did
     not. On a CPU, the precision `auto` and int8 have the network pruned where a calibration says
     how. `live` asks for the shortest time a frame rather than the most frames a second. Raises
     DroptrackError when what was named is not to be had.
@@ -133,7 +133,7 @@ def _installed(package: str) -> bool:
 def _engine(
     network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
 ) -> Engine:
-    """An engine that has computed a picture; raises DroptrackError with the reason if it cannot."""
+    """An engine that has computed an image; raises DroptrackError with the reason if it cannot."""
     if precision is not Precision.auto and precision not in PRECISIONS[backend]:
         has = ", ".join(PRECISIONS[backend])
         raise DroptrackError(f"--precision {precision}: {backend} computes in {has}")

@@ -10,13 +10,15 @@ from droptrack.data.arrays import Rows
 from droptrack.data.detections import Detections, intersections, iou_of_pairs, xyxy_from_boxes
 from droptrack.data.neighbours import pairs_within
 
-OUTSIDE = 0.25  # share of a box beyond another, from which it is not a part of the same droplet
+# of a box beyond another: with less, it is a part of the same droplet
+MIN_SHARE_OUTSIDE = 0.25
+# of a box between two others, that each of them has
+MIN_SHARE_OF_SCORE = 0.5
 
 
-LEAST_OF_SCORE = 0.5  # of a box between two others, that each of them has at least
-
-
-def suppress_doubles(detections: Detections, max_iou: float, *, greedy: bool = False) -> Detections:
+def suppress_duplicates(
+    detections: Detections, max_iou: float, *, greedy: bool = False
+) -> Detections:
     """Non-maximum suppression within each class, greedy, best score first.
 
     Where that leaves a box between two others instead of these, which is how a network may see two
@@ -47,21 +49,21 @@ def _best(detections: Detections, max_iou: float) -> Rows:
 def boxes_between(detections: Detections, kept: Rows, max_iou: float) -> Rows:
     """Rows of kept boxes that stand where two others should, on both sides of the middle.
 
-    Both overlap with it by more than `max_iou`, one another by less; OUTSIDE of each lies beyond
-    it, so that they are no two halves of its droplet; and neither is much less likely.
+    Both have an IoU with it above `max_iou`, with one another below; MIN_SHARE_OUTSIDE of each lies
+    beyond it, so that they are no two halves of its droplet; and neither is much less likely.
     """
     boxes, scores, class_ids = detections.boxes, detections.scores, detections.class_ids
     lost = np.setdiff1d(np.arange(len(boxes)), kept)
     reach = (boxes[lost, 2:].max(axis=1) + boxes[kept, 2:].max(initial=0)) / 2
     row, place = pairs_within(boxes[lost, :2], reach, boxes[kept, :2])
     one, best = lost[row], kept[place]
-    double = (iou_of_pairs(boxes[one], boxes[best]) > max_iou) & (class_ids[one] == class_ids[best])
-    # a lost box is the double of the best of those that it overlaps with
-    order = np.lexsort((place[double], one[double]))
-    one, first = np.unique(one[double][order], return_index=True)
-    best = best[double][order][first]
+    same = (iou_of_pairs(boxes[one], boxes[best]) > max_iou) & (class_ids[one] == class_ids[best])
+    # a lost box is the duplicate of the best of those that suppress it
+    order = np.lexsort((place[same], one[same]))
+    one, first = np.unique(one[same][order], return_index=True)
+    best = best[same][order][first]
     outside = 1 - intersections(boxes[one], boxes[best]) / boxes[one, 2:].prod(axis=1)
-    beside = (outside > OUTSIDE) & (scores[one] >= LEAST_OF_SCORE * scores[best])
+    beside = (outside > MIN_SHARE_OUTSIDE) & (scores[one] >= MIN_SHARE_OF_SCORE * scores[best])
     found = set()
     for i, k in combinations(np.flatnonzero(beside).tolist(), 2):
         a, b, m = one[i], one[k], best[i]

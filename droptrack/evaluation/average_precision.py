@@ -8,21 +8,24 @@ from numpy.typing import NDArray
 
 from droptrack.data.detections import Detections, iou_matrix
 
-Pair = tuple[Detections, Detections]  # what was found on an image, and the truth
-# which detections Darknet's `detector map` counts: above a score, doubles suppressed at an overlap
-LEAST_SCORE, MAX_IOU = 0.005, 0.45
+Pair = tuple[Detections, Detections]  # what was found on an image, and its ground truth
+
+# which detections Darknet's `detector map` counts
+MIN_SCORE = 0.005  # the score that they exceed
+MAX_IOU = 0.45  # the IoU above which two are duplicates
+OPERATING_SCORE = 0.25  # above it, precision, recall, F1 and the average IoU are taken
 
 
-@dataclass(frozen=True)
-class Precision:
+@dataclass(frozen=True, kw_only=True)
+class DetectionScores:
     """Average precision, and what Darknet counts above one score; NaN where undefined."""
 
-    average_precision: float  # mean over the classes that the truth has
+    average_precision: float  # mean over the classes that the ground truth has
     precision: float
     recall: float
     f1: float
     average_iou: float  # of what was found above the score, false ones count as 0
-    n_truths: int
+    n_ground_truths: int
     n_detections: int
 
 
@@ -31,19 +34,20 @@ class _Class:
     """What was found of one class in all images."""
 
     scores: list[NDArray[np.float64]] = field(default_factory=list)
-    overlaps: list[NDArray[np.float64]] = field(default_factory=list)  # 0 where false
-    n_truths: int = 0
+    ious: list[NDArray[np.float64]] = field(default_factory=list)  # 0 where false
+    n_ground_truths: int = 0
 
 
 def average_precision(
-    pairs: Iterable[Pair], min_iou: float = 0.5, score: float = 0.25
-) -> Precision:
-    """Precision of (detections, truth) pairs, one an image.
+    pairs: Iterable[Pair], min_iou: float = 0.5, score: float = OPERATING_SCORE
+) -> DetectionScores:
+    """Scores of (detections, ground truth) pairs, one an image.
 
     As Darknet's ``detector map``: detections of a class in all images by falling score; each takes
-    the truth it overlaps best, if by more than `min_iou` and not taken yet, else it is false; the
-    area under the curve of the best precision at each recall or above. `score` is where precision,
-    recall, F1 and the average overlap are taken. NaN without any truth.
+    the labelled droplet with which it has the best IoU, if that is more than `min_iou` and none
+    took the droplet before, else it is false; the area under the curve of the best precision at
+    each recall or above. `score` is where precision, recall, F1 and the average IoU are taken. NaN
+    without any labelled droplet.
     """
     classes: dict[int, _Class] = {}
     for detections, truth in pairs:
@@ -53,57 +57,68 @@ def average_precision(
             expected = truth[truth.class_ids == class_id]
             counts = classes.setdefault(class_id, _Class())
             counts.scores.append(mine.scores)
-            counts.overlaps.append(_overlaps_of_hits(mine, expected, min_iou))
-            counts.n_truths += len(expected)
-    n_truths = sum(counts.n_truths for counts in classes.values())
-    n_detections = sum(len(part) for counts in classes.values() for part in counts.scores)
+            counts.ious.append(_ious_of_hits(mine, expected, min_iou))
+            counts.n_ground_truths += len(expected)
+    n_truths = sum(counts.n_ground_truths for counts in classes.values())
+    scores = _concatenated(part for counts in classes.values() for part in counts.scores)
     if not n_truths:
-        return Precision(np.nan, np.nan, np.nan, np.nan, np.nan, 0, n_detections)
-    areas = [_area(counts) for counts in classes.values() if counts.n_truths]
-    sure = np.concatenate([part for counts in classes.values() for part in counts.scores]) > score
-    overlaps = np.concatenate([part for counts in classes.values() for part in counts.overlaps])
-    n_sure, n_found = int(sure.sum()), int((overlaps[sure] > 0).sum())
-    return Precision(
-        float(np.mean(areas)),
-        n_found / n_sure if n_sure else np.nan,
-        n_found / n_truths,
-        2 * n_found / (n_sure + n_truths),
-        float(overlaps[sure].mean()) if n_sure else np.nan,
-        n_truths,
-        n_detections,
+        return DetectionScores(
+            average_precision=np.nan,
+            precision=np.nan,
+            recall=np.nan,
+            f1=np.nan,
+            average_iou=np.nan,
+            n_ground_truths=0,
+            n_detections=len(scores),
+        )
+    ious = _concatenated(part for counts in classes.values() for part in counts.ious)
+    counted = ious[scores > score]
+    n_hits = int((counted > 0).sum())
+    areas = [_area(counts) for counts in classes.values() if counts.n_ground_truths]
+    return DetectionScores(
+        average_precision=float(np.mean(areas)),
+        precision=n_hits / len(counted) if len(counted) else np.nan,
+        recall=n_hits / n_truths,
+        f1=2 * n_hits / (len(counted) + n_truths),
+        average_iou=float(counted.mean()) if len(counted) else np.nan,
+        n_ground_truths=n_truths,
+        n_detections=len(scores),
     )
+
+
+def _concatenated(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return np.concatenate([np.zeros(0), *parts])
 
 
 def _area(counts: _Class) -> float:
     """Area under the curve of precision over recall."""
     order = np.argsort(-np.concatenate(counts.scores), kind="stable")
-    found = np.cumsum(np.concatenate(counts.overlaps)[order] > 0)
+    found = np.cumsum(np.concatenate(counts.ious)[order] > 0)
     precision = found / np.arange(1, len(found) + 1)
-    recall = np.concatenate([[0.0], found / counts.n_truths])
+    recall = np.concatenate([[0.0], found / counts.n_ground_truths])
     envelope = np.maximum.accumulate(precision[::-1])[::-1]
     return float((np.diff(recall) * envelope).sum())
 
 
-def _overlaps_of_hits(
-    detections: Detections, truth: Detections, min_iou: float
-) -> NDArray[np.float64]:
-    """Of detections, best score first: the overlap with a truth that none before took, or 0."""
-    overlaps = np.zeros(len(detections))
+def _ious_of_hits(detections: Detections, truth: Detections, min_iou: float) -> NDArray[np.float64]:
+    """Of detections, best score first: the IoU with a droplet that none before took, or 0."""
+    ious = np.zeros(len(detections))
     if not len(truth) or not len(detections):
-        return overlaps
+        return ious
     iou = iou_matrix(detections.boxes, truth.boxes)
     best = iou.argmax(axis=1)
     good = np.flatnonzero(iou[np.arange(len(best)), best] > min_iou)
     _, first = np.unique(best[good], return_index=True)
     hits = good[first]
-    overlaps[hits] = iou[hits, best[hits]]
-    return overlaps
+    ious[hits] = iou[hits, best[hits]]
+    return ious
 
 
 def coco_average_precision(pairs: Sequence[Pair]) -> tuple[float, float]:
-    """COCO's AP50-95 and AP50 of (detections, truth) pairs, one an image; NaN without any truth.
+    """COCO's AP50-95 and AP50 of (detections, ground truth) pairs, one an image.
 
-    However many droplets an image has, where COCO's own tables stop at 100. Needs hotcoco.
+    NaN without any labelled droplet. An image may have any number of droplets, where COCO's own
+    tables stop at 100. Needs hotcoco.
     """
     from hotcoco import COCO, COCOeval
 
@@ -138,5 +153,5 @@ def coco_average_precision(pairs: Sequence[Pair]) -> tuple[float, float]:
     evaluation.evaluate()
     evaluation.accumulate()
     tables: dict[str, NDArray[np.float64]] = evaluation.eval or {}
-    precision = tables["precision"][:, :, :, 0, -1]  # overlap, recall, class
+    precision = tables["precision"][:, :, :, 0, -1]  # IoU, recall, class
     return float(precision.mean()), float(precision[0].mean())

@@ -1,17 +1,19 @@
-"""How good trajectories are against the truth: who is found, who is mixed up, how far off."""
+"""Trajectories against the ground truth, droplet by droplet: matches, switches, errors."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from droptrack.data.arrays import Floats, Rows
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.trajectories import Trajectories
+
+FORBIDDEN = 1e5  # the cost of pairs that must not be matched
 
 
 @dataclass(frozen=True)
 class Matching:
-    """Rows of the truth and of the result that are the same droplet in the same frame.
+    """Rows of the ground truth and of the result that are the same droplet in the same frame.
 
     truth, result (P,): rows, by rising frame; n_false: rows of the result that are no droplet.
     """
@@ -21,15 +23,15 @@ class Matching:
     n_false: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DropletScore:
-    """One droplet of the truth. Mean square errors are NaN where it was never found.
+    """One droplet of the ground truth. Mean square errors are NaN where it was never found.
 
-    Errors are given in px², in (y / H)², H the picture's height, and in squared droplet diameters.
+    Errors are given in px², in (y / H)², H the image's height, and in squared droplet diameters.
     """
 
     track_id: int
-    found_as: list[int]  # the result's identities, in order
+    found_as: tuple[int, ...]  # the result's identities, in order
     n_frames: int  # frames in which it must be found
     n_missed: int
     n_switches: int  # changes of the identity it is found as
@@ -46,8 +48,9 @@ def match(truth: Trajectories, result: Trajectories) -> Matching:
     """Match frame by frame as CLEAR MOT (Bernardin & Stiefelhagen 2008) does.
 
     A droplet can be matched to positions within half its diameter sqrt(w h). Pairs of the frame
-    before stay together while that holds; the others get the assignment with the least distance.
-    A truth with score 0 may be found or not: it is neither missed nor is what is found there false.
+    before stay together while that holds; the others get the assignment with the minimum total
+    distance. A row of the ground truth with score 0 may be found or not: it is neither missed, nor
+    is what is found there false.
     """
     identities: dict[int, int] = {}
     truth_rows: list[Rows] = []
@@ -62,15 +65,7 @@ def match(truth: Trajectories, result: Trajectories) -> Matching:
         )
         cost = np.where(distance <= reach[t][:, None], distance, FORBIDDEN)
         before = np.array([identities.get(i, 0) for i in truth.track_id[t].tolist()], np.int64)
-        stays = (before[:, None] == result.track_id[r][None]) & (cost < FORBIDDEN)
-        rows, columns = np.nonzero(stays)
-        nearest = np.argsort(cost[rows, columns], kind="stable")
-        _, first = np.unique(columns[nearest], return_index=True)  # one identity is one droplet
-        rows, columns = rows[nearest[first]], columns[nearest[first]]
-        free_t, free_r = np.delete(np.arange(len(t)), rows), np.delete(np.arange(len(r)), columns)
-        more_rows, more_columns = assign(cost[np.ix_(free_t, free_r)], FORBIDDEN / 2)
-        rows = np.append(rows, free_t[more_rows])
-        columns = np.append(columns, free_r[more_columns])
+        rows, columns = _match_frame(cost, before[:, None] == result.track_id[r][None])
         n_false += len(r) - len(columns)
         for row, column in zip(t[rows], r[columns], strict=True):
             identities[int(truth.track_id[row])] = int(result.track_id[column])
@@ -83,10 +78,38 @@ def match(truth: Trajectories, result: Trajectories) -> Matching:
     )
 
 
+def _match_frame(cost: Floats, together: Bools) -> tuple[Rows, Rows]:
+    """Rows and columns of one frame that are matched, by their cost (N, M).
+
+    `together` (N, M): pairs that the frames before had, which stay unless they are FORBIDDEN now.
+    """
+    rows, columns = np.nonzero(together & (cost < FORBIDDEN))
+    nearest = np.argsort(cost[rows, columns], kind="stable")
+    _, first = np.unique(columns[nearest], return_index=True)  # one identity is one droplet
+    rows, columns = rows[nearest[first]], columns[nearest[first]]
+    free_rows = np.delete(np.arange(cost.shape[0]), rows)
+    free_columns = np.delete(np.arange(cost.shape[1]), columns)
+    more_rows, more_columns = assign(cost[np.ix_(free_rows, free_columns)], FORBIDDEN / 2)
+    return np.append(rows, free_rows[more_rows]), np.append(columns, free_columns[more_columns])
+
+
+def assign(cost: Floats, max_cost: float) -> tuple[Rows, Rows]:
+    """Pairs of rows and columns of a cost matrix (N, M) with the minimum total cost.
+
+    Pairs above `max_cost` count alike while the assignment is sought and are dropped after.
+    """
+    if not cost.size:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    capped = np.minimum(cost, max_cost + 1e-5)  # a little above it, as in deep_sort
+    rows, columns = linear_sum_assignment(capped)
+    good = capped[rows, columns] <= max_cost
+    return rows[good].astype(np.int64), columns[good].astype(np.int64)
+
+
 def score_droplets(
     truth: Trajectories, result: Trajectories, matching: Matching, height: float
 ) -> list[DropletScore]:
-    """One score for each droplet of the truth; `height` of the picture in px, or NaN."""
+    """One score for each droplet of the ground truth; `height` of the image in px, or NaN."""
     dx = result.x[matching.result] - truth.x[matching.truth]
     dy = result.y[matching.result] - truth.y[matching.truth]
     diameter = np.sqrt(truth.boxes[matching.truth, 2] * truth.boxes[matching.truth, 3])
@@ -102,18 +125,18 @@ def score_droplets(
         positions = np.searchsorted(frames, found)
         scores.append(
             DropletScore(
-                int(track_id),
-                [int(ids[i]) for i in [0, *changes] if len(ids)],
-                len(frames),
-                len(frames) - len(found),
-                len(changes),
-                int((np.diff(positions) > 1).sum()),
-                _mean(square_y[mine]),
-                _mean(square_y[mine]) / height**2,
-                _mean(square_y[mine] / diameter[mine] ** 2),
-                _mean(square[mine]),
-                _mean(square[mine]) / height**2,
-                _mean(square[mine] / diameter[mine] ** 2),
+                track_id=int(track_id),
+                found_as=tuple(int(ids[i]) for i in [0, *changes] if len(ids)),
+                n_frames=len(frames),
+                n_missed=len(frames) - len(found),
+                n_switches=len(changes),
+                n_fragments=int((np.diff(positions) > 1).sum()),
+                mse_y_px2=_mean(square_y[mine]),
+                mse_y_heights2=_mean(square_y[mine]) / height**2,
+                mse_y_diameters2=_mean(square_y[mine] / diameter[mine] ** 2),
+                mse_position_px2=_mean(square[mine]),
+                mse_position_heights2=_mean(square[mine]) / height**2,
+                mse_position_diameters2=_mean(square[mine] / diameter[mine] ** 2),
             )
         )
     return scores
@@ -121,19 +144,3 @@ def score_droplets(
 
 def _mean(values: Floats) -> float:
     return float(values.mean()) if len(values) else float("nan")
-
-
-FORBIDDEN = 1e5  # the cost of pairs that must not be matched
-
-
-def assign(cost: Floats, max_cost: float) -> tuple[Rows, Rows]:
-    """Pairs of rows and columns of a cost matrix (N, M) with the least total cost.
-
-    Pairs above `max_cost` count alike while the assignment is sought and are dropped after.
-    """
-    if not cost.size:
-        return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    capped = np.minimum(cost, max_cost + 1e-5)
-    rows, columns = linear_sum_assignment(capped)
-    good = capped[rows, columns] <= max_cost
-    return rows[good].astype(np.int64), columns[good].astype(np.int64)

@@ -4,7 +4,7 @@ The centre of a bounding box is known to a fraction of the network's cells; the 
 centre of an anti-aliased droplet to two thousandths of a pixel.
 
 Droplets of about one size are cut out of the frame and worked on together. Crops (N, S, S) have a
-rim of an empty pixel, so that all of them are one picture, one below the other, and neighbouring
+rim of an empty pixel, so that all of them are one image, one below the other, and neighbouring
 pixels are shifts in memory.
 """
 
@@ -23,7 +23,7 @@ from droptrack.data.frames import Frame, grey_plane
 
 MARGIN = 0.25  # of the box's size, added on each side: boxes are not exact
 EDGE_PX = 1.5  # reach of an anti-aliased edge beyond the half-height contour
-LEAST_CONTRAST = 12.0  # grey levels between droplet and surroundings
+MIN_CONTRAST = 12.0  # grey levels between droplet and surroundings
 NEIGHBOURS = 8  # boxes that a droplet may touch
 SIDE_RATIO = 1.5  # of the largest to the smallest crop in a group, at most
 PIXELS_AT_ONCE = 600_000
@@ -45,7 +45,7 @@ INSIDE, AROUND = _grid(10, 0.5, 0, 0.5), _grid(16, 1.5, 1.1, 2)
 # near the neighbour's edge, since crops end before the middle of droplets that only touch
 MIDDLE = _grid(8, 0.8, 0, 0.8)
 CORE = np.array([[0, 0], *(r * np.eye(2)[k] for r in (0.4, -0.4, 0.7, -0.7) for k in (0, 1))])
-SETTINGS = (MARGIN, EDGE_PX, LEAST_CONTRAST, NEIGHBOURS, INSIDE, AROUND, MIDDLE, CORE)
+SETTINGS = (MARGIN, EDGE_PX, MIN_CONTRAST, NEIGHBOURS, INSIDE, AROUND, MIDDLE, CORE)
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _levels(grey: Pixels, boxes: Floats) -> tuple[Rows, Rows]:
     n_beyond = np.where(bright, n_below, n_around - n_not_above)
     background = np.rint(_quantile(around, start, n_beyond, 0.5)).astype(np.int64)
     contrast = np.rint(level).astype(np.int64) - background
-    clear = (n_inside > 0) & (n_beyond > 0) & (np.abs(contrast) >= LEAST_CONTRAST)
+    clear = (n_inside > 0) & (n_beyond > 0) & (np.abs(contrast) >= MIN_CONTRAST)
     return background, np.where(clear, contrast, 0)
 
 
@@ -219,8 +219,8 @@ def _alone(crops: _Crops, boxes: Floats, neighbours: Rows) -> Pixels:
 
 def _region(mask: Bools, crops: _Crops, rows: Rows) -> Bools:
     """The connected region of each mask (M, S, S) of crops that fills most of the middle."""
-    picture = mask.view(np.uint8).reshape(-1, mask.shape[2])
-    n_labels, labels = cv2.connectedComponents(picture, connectivity=4)
+    image = mask.view(np.uint8).reshape(-1, mask.shape[2])
+    n_labels, labels = cv2.connectedComponents(image, connectivity=4)
     labels = np.asarray(labels, np.int32).reshape(mask.shape)
     boxes = crops.boxes[rows]
     line, column = crops.pixels(rows, boxes[:, None, :2] + MIDDLE * boxes[:, None, 2:] / 2)

@@ -1,4 +1,4 @@
-"""Centres of mass droplet by droplet, compiled: what centroid.py says of arrays, in loops.
+"""Centres of mass droplet by droplet, compiled: what centre_of_mass.py says of arrays, in loops.
 
 The results are the same, to the last bit for droplets of up to 300 px.
 """
@@ -26,7 +26,7 @@ class Settings(NamedTuple):
 
     margin: float
     edge_px: float
-    least_contrast: float
+    min_contrast: float
     neighbours: int
     inside: Floats
     around: Floats
@@ -122,7 +122,7 @@ def _levels(grey: Pixels, box: Floats, settings: Settings, counts: Rows) -> tupl
         return 0, 0
     background = int(np.rint(_quantile(counts, start, n_beyond, 0.5)))
     contrast = int(np.rint(level)) - background
-    return background, contrast if abs(contrast) >= settings.least_contrast else 0
+    return background, contrast if abs(contrast) >= settings.min_contrast else 0
 
 
 @njit(**FAST)
@@ -343,22 +343,22 @@ def measure(
     """Put into `centres` (N, 2) and `measured` (N,) what is found in boxes (N, 4)."""
     frame = np.array([grey.shape[1], grey.shape[0]])
     low, high = np.empty((len(boxes), 2), np.int64), np.empty((len(boxes), 2), np.int64)
-    most, longest = 0, 0
+    max_area, longest = 0, 0
     for row in range(len(boxes)):
         for k in range(2):
             reach = _reach(boxes[row, 2 + k], settings)
             low[row, k] = min(max(np.floor(boxes[row, k] - reach), 0), frame[k])
             high[row, k] = min(max(np.ceil(boxes[row, k] + reach), 0), frame[k])
         width, height = high[row, 0] - low[row, 0] + 2, high[row, 1] - low[row, 1] + 2
-        most, longest = max(most, width * height), max(longest, width, height)
-    state, waiting = np.empty(most, np.uint8), np.empty((most, 2), np.int64)
+        max_area, longest = max(max_area, width * height), max(longest, width, height)
+    state, waiting = np.empty(max_area, np.uint8), np.empty((max_area, 2), np.int64)
     extents = np.empty((len(settings.middle), 4), np.int64)
     counts = np.empty(256, np.int64)
-    most_near, core_reach = settings.neighbours, settings.core.max()
-    near, squares = np.empty(most_near, np.int64), np.empty(most_near)
-    others = np.empty((most_near, 4))
-    beyond = np.empty((most_near, longest), np.float32)
-    within = np.empty((most_near, longest), np.float32)
+    max_near, core_reach = settings.neighbours, settings.core.max()
+    near, squares = np.empty(max_near, np.int64), np.empty(max_near)
+    others = np.empty((max_near, 4))
+    beyond = np.empty((max_near, longest), np.float32)
+    within = np.empty((max_near, longest), np.float32)
     order = np.argsort(boxes[:, 0], kind="mergesort")
     for place, row in enumerate(order):
         box = boxes[row]

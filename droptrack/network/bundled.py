@@ -13,11 +13,15 @@ BUNDLED_WEIGHTS = BUNDLED / "yolov3-tiny-droplets.weights"
 SUFFIX = re.compile(r"_(final|last|best|\d+)$")
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of ``960x480``; raises DroptrackError for another text."""
-    match = re.fullmatch(r"(\d+)x(\d+)", text)
+def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
+    """Width and height of ``960x480``; raises DroptrackError for another text, with its option.
+
+    >>> parse_size("960x480")
+    (960, 480)
+    """
+    match = re.fullmatch(r"(\d+)x(\d+)", text.lower())
     if match is None:
-        raise DroptrackError(f"--size {text}: should be width x height in px, such as 960x480")
+        raise DroptrackError(f"{option} {text}: should be width x height in px, such as 960x480")
     return int(match[1]), int(match[2])
 
 

@@ -1,10 +1,4 @@
-"""Darknet's network files: ``.cfg`` and ``.weights``, text and bytes <-> typed values.
-
-A ``.weights`` file is little-endian: int32 major, minor, revision; then the number of images
-seen (uint64 from version 0.2 on, uint32 before); then float32 values for each
-``[convolutional]`` in order: biases; with ``batch_normalize`` also scales, rolling means and
-rolling variances; then the kernel (out, in, height, width).
-"""
+"""Darknet's ``.cfg`` files: text <-> typed values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,6 +9,11 @@ from numpy.typing import NDArray
 
 from droptrack.data.files import read_text
 from droptrack.errors import DroptrackError
+
+INPUT_MULTIPLE = 32  # px: a YOLO network's input is a multiple of it
+MAX_LOG_SIZE = 10.0  # bound on the logarithm of a box's size over its anchor's: none overflows
+BATCH_NORM_EPSILON = 1e-5  # in Darknet's forks and OpenCV; the first Darknet had 1e-6
+LEAKY_SLOPE = 0.1  # of activation=leaky below 0
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ class Cfg:
         return self.net.integer("height")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Convolution:
     """Where one ``[convolutional]`` lies in a ``.weights`` file: counts of float32 values."""
 
@@ -94,7 +93,7 @@ class Convolution:
         return self.outputs * (per_channel + self.inputs * self.size * self.size)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class YoloHead:
     """One ``[yolo]`` layer: the anchors it uses (A, 2), px of the network's input, its stride."""
 
@@ -114,8 +113,7 @@ def read_cfg(path: Path) -> Cfg:
 
 def parse_cfg(text: str, path: Path) -> Cfg:
     """Parse the text of a ``.cfg``; `path` only names it in errors."""
-    sections: list[Layer] = []
-    options: dict[str, str] = {}
+    sections: list[tuple[str, dict[str, str], int]] = []
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.split("#")[0].strip()
         if not line or line.startswith(";"):
@@ -125,18 +123,18 @@ def parse_cfg(text: str, path: Path) -> Cfg:
                 raise DroptrackError(
                     f"{path}:{number}: a section is written [kind], found {line!r}"
                 )
-            options = {}
-            sections.append(Layer(line[1:-1].strip(), options, number))
+            sections.append((line[1:-1].strip(), {}, number))
             continue
         key, equals, value = line.partition("=")
         if not equals or not sections:
             raise DroptrackError(
                 f"{path}:{number}: expected key=value in a section, found {line!r}"
             )
-        options[key.strip()] = value.strip()
-    if not sections or sections[0].kind not in ("net", "network"):
+        sections[-1][1][key.strip()] = value.strip()
+    if not sections or sections[0][0] not in ("net", "network"):
         raise DroptrackError(f"{path}: a Darknet .cfg starts with [net]; is this another file?")
-    cfg = Cfg(path, sections[0], tuple(sections[1:]))
+    net, *layers = (Layer(*section) for section in sections)
+    cfg = Cfg(path, net, tuple(layers))
     _check(cfg)
     return cfg
 
@@ -168,10 +166,11 @@ def resized(cfg: Cfg, width: int, height: int) -> Cfg:
 
 def _check(cfg: Cfg) -> None:
     for name, size in (("width", cfg.width), ("height", cfg.height)):
-        if size < 32 or size % 32:
+        if size < INPUT_MULTIPLE or size % INPUT_MULTIPLE:
+            nearest = max(1, round(size / INPUT_MULTIPLE)) * INPUT_MULTIPLE
             raise DroptrackError(
                 f"{cfg.path}:{cfg.net.line}: {name}={size}, but a YOLO network's input must be a "
-                f"multiple of 32; the nearest is {max(32, round(size / 32) * 32)}"
+                f"multiple of {INPUT_MULTIPLE}; the nearest is {nearest}"
             )
     try:
         heads = yolo_heads(cfg)
@@ -212,12 +211,14 @@ def layer_shapes(cfg: Cfg) -> list[tuple[int, int]]:
         elif layer.kind == "route":
             sources = route_sources(layer, index)
             if len({shapes[source][1] for source in sources}) > 1:
-                raise DroptrackError(f"line {layer.line}: [route] joins layers of different sizes")
+                raise DroptrackError(
+                    f"line {layer.line}: [route] concatenates layers of different sizes"
+                )
             channels = sum(shapes[source][0] for source in sources)
             channels //= layer.integer("groups", 1)
             stride = shapes[sources[0]][1]
         elif layer.kind == "shortcut":
-            (source,) = route_sources(layer, index, key="from")
+            (source,) = route_sources(layer, index)
             if shapes[source] != shapes[index - 1]:
                 raise DroptrackError(f"line {layer.line}: [shortcut] adds layers of unlike shapes")
         elif layer.kind != "yolo":
@@ -226,14 +227,26 @@ def layer_shapes(cfg: Cfg) -> list[tuple[int, int]]:
     return shapes
 
 
-def route_sources(layer: Layer, index: int, key: str = "layers") -> list[int]:
+def route_sources(layer: Layer, index: int) -> list[int]:
     """Absolute indices of the layers that a ``[route]`` or ``[shortcut]`` at `index` reads."""
+    key = "from" if layer.kind == "shortcut" else "layers"
     sources = [int(n) if n >= 0 else index + int(n) for n in layer.numbers(key)]
     if not sources or any(not 0 <= source < index for source in sources):
         raise DroptrackError(
             f"line {layer.line}: [{layer.kind}] names a layer that is not above it"
         )
     return sources
+
+
+def convolution_padding(layer: Layer) -> int:
+    """Cells of zeros on each side of what a ``[convolutional]`` reads."""
+    return layer.integer("size", 1) // 2 if layer.integer("pad", 0) else layer.integer("padding", 0)
+
+
+def pool_options(layer: Layer) -> tuple[int, int, int]:
+    """Size, stride, and padding (of both sides together) of a ``[maxpool]``."""
+    size = layer.integer("size", 2)
+    return size, layer.integer("stride", 1), layer.integer("padding", size - 1)
 
 
 def convolutions(cfg: Cfg) -> list[Convolution]:
@@ -246,11 +259,11 @@ def convolutions(cfg: Cfg) -> list[Convolution]:
         inputs = shapes[index - 1][0] if index else cfg.net.integer("channels", 3)
         found.append(
             Convolution(
-                index,
-                inputs // layer.integer("groups", 1),
-                layer.integer("filters"),
-                layer.integer("size", 1),
-                bool(layer.integer("batch_normalize", 0)),
+                layer=index,
+                inputs=inputs // layer.integer("groups", 1),
+                outputs=layer.integer("filters"),
+                size=layer.integer("size", 1),
+                batch_normalize=bool(layer.integer("batch_normalize", 0)),
             )
         )
     return found
@@ -274,8 +287,15 @@ def yolo_heads(cfg: Cfg) -> list[YoloHead]:
             raise DroptrackError(f"line {layer.line}: mask= names an anchor that is not there")
         if layer.integer("new_coords", 0):
             raise DroptrackError(f"line {layer.line}: [yolo] new_coords=1 is not supported")
-        stride = shapes[index][1]
-        classes = layer.integer("classes", 20)
-        scale = layer.number("scale_x_y", 1)
-        heads.append(YoloHead(index, anchors[list(mask)], anchors, mask, classes, stride, scale))
+        heads.append(
+            YoloHead(
+                layer=index,
+                anchors=anchors[list(mask)],
+                all_anchors=anchors,
+                mask=mask,
+                classes=layer.integer("classes", 20),
+                stride=shapes[index][1],
+                scale_x_y=layer.number("scale_x_y", 1),
+            )
+        )
     return heads

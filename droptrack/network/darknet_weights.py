@@ -1,4 +1,10 @@
-"""Darknet's ``.weights`` files: bytes <-> typed values."""
+"""Darknet's ``.weights`` files: bytes <-> typed values.
+
+A file is little-endian: int32 major, minor, revision; then the number of images seen in training
+(uint64 from version 0.2 on, uint32 before); then float32 values for each ``[convolutional]`` in
+order: biases; with ``batch_normalize`` also scales, rolling means and rolling variances; then the
+kernel (out, in, height, width).
+"""
 
 import struct
 from collections.abc import Iterator
@@ -20,7 +26,7 @@ class Weights:
     """The content of a ``.weights`` file: version, images seen in training, values (P,) float32."""
 
     version: tuple[int, int, int]
-    seen: int
+    images_seen: int
     values: NDArray[np.float32]
 
 
@@ -54,7 +60,7 @@ def read_weights(path: Path, cfg: Cfg) -> Weights:
     wide = major * 10 + minor >= 2
     if not (0 <= major < 1000 and 0 <= minor < 1000):
         raise DroptrackError(f"{path}: version {major}.{minor} is absurd: not a .weights file?")
-    (seen,) = struct.unpack_from("<Q" if wide else "<I", data, 12)
+    (images_seen,) = struct.unpack_from("<Q" if wide else "<I", data, 12)
     start = 20 if wide else 16
     wanted = sum(convolution.n_values for convolution in convolutions(cfg))
     present, odd = divmod(len(data) - start, 4)
@@ -63,7 +69,7 @@ def read_weights(path: Path, cfg: Cfg) -> Weights:
     values = np.frombuffer(data, "<f4", wanted, start)
     if not np.isfinite(values).all():
         raise DroptrackError(f"{path}: holds NaN or infinite values: a training that diverged?")
-    return Weights((major, minor, revision), seen, values)
+    return Weights((major, minor, revision), images_seen, values)
 
 
 def _misfit(cfg: Cfg, present: int, wanted: int) -> str:
@@ -83,7 +89,7 @@ def _misfit(cfg: Cfg, present: int, wanted: int) -> str:
 
 def weights_bytes(weights: Weights) -> bytes:
     """The content of a ``.weights`` file of version 0.2 or later."""
-    header = struct.pack("<3iQ", *WEIGHTS_VERSION, weights.seen)
+    header = struct.pack("<3iQ", *WEIGHTS_VERSION, weights.images_seen)
     return header + weights.values.astype("<f4").tobytes()
 
 

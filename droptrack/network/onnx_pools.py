@@ -15,18 +15,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.network.darknet_cfg import Cfg, Layer, route_sources
+from droptrack.network.darknet_cfg import LEAKY_SLOPE, Cfg, Layer, pool_options, route_sources
 from droptrack.network.onnx_graph import Graph
 
-MOST_CHANNELS = 32  # of a convolution, from which on the ordinary pool is as fast
+MAX_CHANNELS = 32  # of a convolution; with more, the ordinary pool is as fast
 COLUMNS = 4  # neighbouring columns that become channels
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ByteConvolution:
     """A 3 x 3 convolution with a border of zeros and leaky ReLU, on 8-bit steps.
 
-    What it puts out is (byte - zero) * scale.
+    Its output is (byte - zero) * scale.
     """
 
     kernel: NDArray[np.int8]  # (outputs, inputs, 3, 3)
@@ -43,7 +43,7 @@ class ByteConvolution:
         stride: int,
         kernel: NDArray[np.int8] | None = None,
     ) -> str:
-        """What it puts out, with other pads (top, left, bottom, right) and stride.
+        """Its output in bytes, with other pads (top, left, bottom, right) and stride.
 
         With another `kernel`, of several times the outputs, these are copies.
         """
@@ -61,13 +61,13 @@ class ByteConvolution:
         y = graph.node(
             "Conv", x, weight, bias, kernel_shape=shape, strides=[stride] * 2, pads=list(pads)
         )
-        y = graph.node("LeakyRelu", y, alpha=0.1)
+        y = graph.node("LeakyRelu", y, alpha=LEAKY_SLOPE)
         return graph.node(
             "QuantizeLinear", y, graph.constant(self.scale), graph.constant(self.zero)
         )
 
     def values(self, graph: Graph, bytes_: str) -> str:
-        """What bytes stand for."""
+        """The values of bytes."""
         return graph.node(
             "DequantizeLinear", bytes_, graph.constant(self.scale), graph.constant(self.zero)
         )
@@ -79,14 +79,14 @@ def pooled_layers(cfg: Cfg) -> set[int]:
         source
         for index, layer in enumerate(cfg.layers)
         if layer.kind in ("route", "shortcut")
-        for source in route_sources(layer, index, "layers" if layer.kind == "route" else "from")
+        for source in route_sources(layer, index)
     }
     return {
         index
         for index, (layer, following) in enumerate(pairwise(cfg.layers))
         if _is_plain(layer)
         and following.kind == "maxpool"
-        and following.integer("size", 2) == following.integer("stride", 1) == 2
+        and pool_options(following)[:2] == (2, 2)
         and index not in read
     }
 
@@ -97,12 +97,12 @@ def _is_plain(layer: Layer) -> bool:
         and layer.integer("size", 1) == 3
         and layer.integer("stride", 1) == layer.integer("pad", 0) == layer.integer("groups", 1) == 1
         and layer.text("activation", "logistic") == "leaky"
-        and layer.integer("filters") <= MOST_CHANNELS
+        and layer.integer("filters") <= MAX_CHANNELS
     )
 
 
 def pooled(graph: Graph, x: str, convolution: ByteConvolution) -> str:
-    """The convolution and the pool: the largest of four convolutions with a stride of 2."""
+    """The convolution and the pool: the maximum of four convolutions with a stride of 2."""
     sides = ((1, 0), (0, 1))
     parts = [
         convolution.bytes(graph, x, (top, left, bottom, right), 2)
@@ -112,10 +112,10 @@ def pooled(graph: Graph, x: str, convolution: ByteConvolution) -> str:
     return convolution.values(graph, graph.node("Max", *parts))
 
 
-def pooled_picture(
-    graph: Graph, picture: str, convolution: ByteConvolution, height: int, width: int
+def pooled_image(
+    graph: Graph, image: str, convolution: ByteConvolution, height: int, width: int
 ) -> str:
-    """The same of a grey picture of bytes (B, 1, height, width), which stands for 0 to 1.
+    """The same of a grey image of bytes (B, 1, height, width), which mean 0 to 1.
 
     COLUMNS neighbours become channels. One convolution then computes the even columns, another the
     odd ones; the larger of both is pooled along lines. Two lines are pooled as two pixels with all
@@ -123,7 +123,7 @@ def pooled_picture(
     """
     n = len(convolution.kernel)
     x = graph.node(
-        "DequantizeLinear", picture, graph.floats(1 / 255), graph.constant(np.zeros(1, np.uint8))
+        "DequantizeLinear", image, graph.floats(1 / 255), graph.constant(np.zeros(1, np.uint8))
     )
     x = _channels_first(graph, x, height, width // COLUMNS, COLUMNS)
     parts = []

@@ -1,9 +1,9 @@
-"""Post-training channel pruning: the channels of a layer that the others can stand in for.
+"""Post-training channel pruning: channels of a layer that can be computed from the others.
 
 After He, Zhang and Sun 2017 (Channel Pruning for Accelerating Very Deep Neural Networks): channels
-of a convolution are left out, and the convolutions that read it compute with what least squares
-makes of the others instead. Channels are chosen one after the other, each the one that explains
-most of what its readers compute and is not yet explained.
+of a convolution are pruned, and the convolutions that read it compute with their reconstruction
+from the others, by least squares. Channels to keep are chosen one after the other, each the one
+that explains most of what its readers compute and is not yet explained.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,20 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.arrays import Bools, Float32s, Floats, Rows
-from droptrack.network.darknet_cfg import Cfg, Layer, layer_shapes, route_sources
+from droptrack.network.darknet_cfg import Cfg, Convolution, Layer, layer_shapes, route_sources
 from droptrack.network.darknet_weights import Weights, layer_values
 
 Float16s = NDArray[np.float16]
 
-STEP = 16  # channels that are left are a multiple, as processors like it
-RIDGE = 1e-6  # of the mean variance, added to each: channels that say the same leave it undecided
-# what a head reads may err by less than what is read by layers between: docs/performance.md
+STEP = 16  # the number of kept channels is a multiple of it, which processors compute faster
+RIDGE = 1e-6  # of the mean variance, added to each: without, equal channels have no unique solution
+# how much larger an error other readers than heads may have: docs/performance.md
 BETWEEN = 15.0
+MIN_VARIANCE = 1e-7  # of a channel's variance: where less of it is unexplained, none is
 
 
 @dataclass(frozen=True, eq=False)
-class StandIn:
-    """What a convolution reads instead of D left out channels: kept (..., K) @ mix + offset."""
+class Reconstruction:
+    """Of D pruned channels from the K kept ones (..., K): kept @ mix + offset."""
 
     mix: Float16s  # (K, D)
     offset: Float32s  # (D,)
@@ -34,20 +35,20 @@ class StandIn:
 
 @dataclass(frozen=True)
 class Pruning:
-    """What is left of a network's convolutions."""
+    """Which channels of a network's convolutions are kept, and what replaces the others."""
 
-    kept: dict[int, Rows]  # channels, ascending, by the layer that computes them
-    stand_ins: dict[int, StandIn]  # by the layer that reads
+    kept: Mapping[int, Rows]  # channels, ascending, by the layer that computes them
+    reconstructions: Mapping[int, Reconstruction]  # by the layer that reads
 
 
-NOTHING = Pruning({}, {})
+NO_PRUNING = Pruning({}, {})
 
 
 class Moments:
-    """Second moments (C, C) of the channels of what a convolution reads, over pictures.
+    """Second moments (C, C) of the channels of what a convolution reads, over images.
 
     About the means (C,) with `centred`. Otherwise about 0, which a convolution with a border of
-    zeros needs: there, zeros stand in for zeros.
+    zeros needs: there, zeros are reconstructed as zeros.
     """
 
     def __init__(self, *, centred: bool) -> None:
@@ -57,7 +58,7 @@ class Moments:
         self._products: Floats | float = 0.0
 
     def add(self, values: Float32s) -> None:
-        """Take what is read (B, C, H, W) for some pictures."""
+        """Count what is read (B, C, H, W) for some images."""
         flat = np.moveaxis(values, 1, 0).reshape(values.shape[1], -1)
         self._n += flat.shape[1]
         self._sum = self._sum + flat.sum(axis=1, dtype=np.float64)
@@ -78,18 +79,19 @@ def prunable_layers(cfg: Cfg) -> list[int]:
     """Convolutions whose channels only convolutions read: no heads, no sums, no parts of layers."""
     read, fixed = set(), set()
     for index, layer in enumerate(cfg.layers):
-        before = set(_joined(cfg, index - 1)) if index else set()
-        in_groups = layer.integer("groups", 1) > 1
-        if layer.kind == "convolutional" and not in_groups:
+        before = set(_layers_passed_on(cfg, index - 1)) if index else set()
+        grouped = layer.integer("groups", 1) > 1
+        if layer.kind == "convolutional" and not grouped:
             read |= before
         elif layer.kind == "convolutional":
             fixed |= {index, *before}
         elif layer.kind == "yolo":
             fixed |= before
         elif layer.kind == "shortcut":
-            fixed |= before.union(*(_joined(cfg, i) for i in route_sources(layer, index, "from")))
-        elif layer.kind == "route" and in_groups:
-            fixed |= set().union(*(_joined(cfg, i) for i in route_sources(layer, index)))
+            added = route_sources(layer, index)
+            fixed |= before.union(*(_layers_passed_on(cfg, i) for i in added))
+        elif layer.kind == "route" and grouped:
+            fixed |= set().union(*(_layers_passed_on(cfg, i) for i in route_sources(layer, index)))
     return sorted(i for i in read - fixed if cfg.layers[i].kind == "convolutional")
 
 
@@ -97,27 +99,27 @@ def readers(cfg: Cfg) -> dict[int, list[int]]:
     """Convolutions that read prunable layers, and the layers whose channels they read, in order."""
     prunable = set(prunable_layers(cfg))
     inputs = {
-        index: _joined(cfg, index - 1)
+        index: _layers_passed_on(cfg, index - 1)
         for index, layer in enumerate(cfg.layers)
         if index and layer.kind == "convolutional"
     }
     return {reader: sources for reader, sources in inputs.items() if prunable & set(sources)}
 
 
-def _joined(cfg: Cfg, index: int) -> list[int]:
-    """The layers whose channels, one after the other, a layer hands on."""
+def _layers_passed_on(cfg: Cfg, index: int) -> list[int]:
+    """The layers whose channels, one after the other, a layer passes on."""
     layer = cfg.layers[index]
     if layer.kind in ("maxpool", "upsample"):
-        return _joined(cfg, index - 1)
+        return _layers_passed_on(cfg, index - 1)
     if layer.kind == "route" and layer.integer("groups", 1) == 1:
-        return [i for source in route_sources(layer, index) for i in _joined(cfg, source)]
+        return [i for source in route_sources(layer, index) for i in _layers_passed_on(cfg, source)]
     return [index]
 
 
-def choose(
+def choose_pruning(
     cfg: Cfg, kernels: Mapping[int, Float32s], moments: Mapping[int, Moments], error: float
 ) -> Pruning:
-    """Leave out as many channels as an error allows.
+    """Prune as many channels as an error allows.
 
     `kernels` (outputs, inputs, h, w) of the convolutions, with their normalisation, and `moments`
     of what each of the `readers` reads, by layer. `error`: mean square of the change of what a head
@@ -139,14 +141,14 @@ def choose(
             if source in unexplained:
                 part = _Unexplained(second[own, own], metric[own, own], allowed)
                 unexplained[source].append(part)
-    chosen = {layer: fewest(parts) for layer, parts in unexplained.items()}
+    chosen = {layer: choose_channels(parts) for layer, parts in unexplained.items()}
     kept = {layer: rows for layer, rows in chosen.items() if len(rows) < channels[layer]}
-    stand_ins = {}
+    reconstructions = {}
     for reader, sources in readers(cfg).items():
         if kept.keys() & sources:
             among = _kept_inputs(cfg, kept, sources)
-            stand_ins[reader] = fit(moments[reader], among)
-    return Pruning(kept, stand_ins)
+            reconstructions[reader] = fit(moments[reader], among)
+    return Pruning(kept, reconstructions)
 
 
 class _Unexplained:
@@ -161,7 +163,7 @@ class _Unexplained:
         root = vectors * np.sqrt(np.maximum(values, 0))
         self._second, self._by_channel = second, second @ root
         self._variances = second.diagonal().copy()
-        self._least = 1e-7 * self._variances
+        self._min_variances = MIN_VARIANCE * self._variances
         self._factor = np.zeros((len(second), 0))
         self._rest = float((metric * second).sum())
         self._allowed = max(allowed, np.finfo(float).tiny)
@@ -173,13 +175,13 @@ class _Unexplained:
 
     def gains(self) -> Floats:
         """How much less `share` would be with each channel (C,); 0 for what nothing is left of."""
-        usable = self._variances > self._least
+        usable = self._variances > self._min_variances
         gains = (self._by_channel**2).sum(axis=1) / np.where(usable, self._variances, np.inf)
         return np.asarray(gains / self._allowed)
 
     def take(self, channel: int) -> None:
         """Explain by one more channel."""
-        if self._variances[channel] <= self._least[channel]:
+        if self._variances[channel] <= self._min_variances[channel]:
             return
         scale = np.sqrt(self._variances[channel])
         column = (self._second[:, channel] - self._factor @ self._factor[channel]) / scale
@@ -190,8 +192,8 @@ class _Unexplained:
         self._rest -= float(explained @ explained)
 
 
-def fewest(parts: Sequence[_Unexplained]) -> Rows:
-    """The fewest channels (K,), ascending, chosen greedily, that explain enough to all readers."""
+def choose_channels(parts: Sequence[_Unexplained]) -> Rows:
+    """Few channels (K,), ascending, that explain enough to all readers; chosen greedily."""
     chosen: list[int] = []
     while not chosen or len(chosen) % STEP or max(part.share for part in parts) > 1:
         gains = np.sum([part.gains() for part in parts], axis=0)
@@ -205,17 +207,17 @@ def fewest(parts: Sequence[_Unexplained]) -> Rows:
     return np.sort(np.array(chosen, np.int64))
 
 
-def fit(moments: Moments, kept: Bools) -> StandIn:
+def fit(moments: Moments, kept: Bools) -> Reconstruction:
     """The least squares estimate of the channels (C,) that are not kept from those that are."""
     second, mean = moments.second, moments.mean
     among = second[np.ix_(kept, kept)]
     among += RIDGE * among.diagonal().mean() * np.eye(len(among))
     mix = np.linalg.solve(among, second[np.ix_(kept, ~kept)]).astype(np.float16)
-    return StandIn(mix, (mean[~kept] - mean[kept] @ mix).astype(np.float32))
+    return Reconstruction(mix, (mean[~kept] - mean[kept] @ mix).astype(np.float32))
 
 
 def _kept_inputs(cfg: Cfg, kept: Mapping[int, Rows], sources: Iterable[int]) -> Bools:
-    """Which channels (C,) are left of what a convolution reads."""
+    """Which channels (C,) are kept of what a convolution reads."""
     shapes = layer_shapes(cfg)
     return np.concatenate(
         [
@@ -232,17 +234,9 @@ def pruned(cfg: Cfg, weights: Weights, pruning: Pruning) -> tuple[Cfg, Weights]:
     for convolution, vectors, flat in layer_values(cfg, weights):
         layer = convolution.layer
         parameters, kernel = vectors, flat.reshape(convolution.outputs, convolution.inputs, -1)
-        if stand_in := pruning.stand_ins.get(layer):
-            kept = _kept_inputs(cfg, pruning.kept, sources[layer])
-            left_out = kernel[:, ~kept]
-            mix = stand_in.mix.astype(np.float32)
-            kernel = kernel[:, kept] + np.einsum("odt,kd->okt", left_out, mix, optimize=True)
-            parameters = vectors.copy()
-            shift = left_out.sum(axis=2) @ stand_in.offset
-            if convolution.batch_normalize:
-                parameters[2] -= shift  # the mean that is subtracted
-            else:
-                parameters[0] += shift
+        if reconstruction := pruning.reconstructions.get(layer):
+            among = _kept_inputs(cfg, pruning.kept, sources[layer])
+            parameters, kernel = _reading(convolution, vectors, kernel, among, reconstruction)
         own = pruning.kept.get(layer, slice(None))
         parts += [parameters[:, own].ravel(), kernel[own].ravel()]
     layers = tuple(
@@ -252,4 +246,27 @@ def pruned(cfg: Cfg, weights: Weights, pruning: Pruning) -> tuple[Cfg, Weights]:
         for i, layer in enumerate(cfg.layers)
     )
     values = np.concatenate(parts).astype(np.float32)
-    return Cfg(cfg.path, cfg.net, layers), Weights(weights.version, weights.seen, values)
+    return Cfg(cfg.path, cfg.net, layers), Weights(weights.version, weights.images_seen, values)
+
+
+def _reading(
+    convolution: Convolution,
+    vectors: Float32s,
+    kernel: Float32s,
+    kept: Bools,
+    reconstruction: Reconstruction,
+) -> tuple[Float32s, Float32s]:
+    """Vectors and kernel (outputs, K, size²) of a convolution that reads only the kept channels.
+
+    `vectors` as of `layer_values`, `kernel` (outputs, C, size²), `kept` (C,).
+    """
+    removed = kernel[:, ~kept]
+    mix = reconstruction.mix.astype(np.float32)
+    kernel = kernel[:, kept] + np.einsum("odt,kd->okt", removed, mix, optimize=True)
+    vectors = vectors.copy()
+    shift = removed.sum(axis=2) @ reconstruction.offset
+    if convolution.batch_normalize:
+        vectors[2] -= shift  # the mean that is subtracted
+    else:
+        vectors[0] += shift
+    return vectors, kernel

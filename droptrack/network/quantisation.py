@@ -1,7 +1,7 @@
 """Post-training quantisation: the range of every layer's output, measured, checked and kept.
 
 A calibration is a small file beside the weights, valid for these weights (their sha256) at one
-input size. It holds how the network is pruned (`pruning`), for 8 bits and for whatever a CPU
+input size. It has the pruning of the network (`pruning`), for 8 bits and for whatever a CPU
 computes in by `--precision auto`, the ranges, and what both cost in mAP.
 """
 
@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,32 +19,49 @@ import numpy as np
 from droptrack.data.files import replacing
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, route_sources
-from droptrack.network.pruning import Pruning, StandIn
+from droptrack.network.pruning import Pruning, Reconstruction
 
-Range = tuple[float, float]
+Range = tuple[float, float]  # minimum and maximum of a layer's output
 
 MAX_LOSS = 0.002  # of mAP against fp32: 0.2 points
+# the maximum step of a quantised kernel. A CPU without VNNI adds two products of bytes in 16 bits,
+# which overflow beyond 2 * 255 * 64
+KERNEL_MAX, UNSATURATED_MAX = 127, 64
 
 
 @dataclass(frozen=True)
+class Quantisation:
+    """How a network is quantised to 8 bits.
+
+    `ranges`: by the index of the layers whose outputs are quantised, as all kernels are.
+    `kernel_max`: the maximum step of a kernel, KERNEL_MAX or UNSATURATED_MAX. `pool_bytes`: compute
+    the first pools as `onnx_pools` does, for OpenVINO.
+    """
+
+    ranges: Mapping[int, Range]
+    kernel_max: int = KERNEL_MAX
+    pool_bytes: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class Calibration:
     """What int8 needs to know of a network; ranges by the layer's index."""
 
     weights_sha256: str
     width: int
     height: int
-    ranges: dict[int, Range]
-    n_calibrated: int  # pictures that the ranges come from
-    n_checked: int  # pictures that the mAPs come from
-    map_fp32: tuple[float, float]  # of all channels: on pictures as they are, and spoilt
+    ranges: Mapping[int, Range]
+    n_calibrated: int  # images that the ranges come from
+    n_checked: int  # images that the mAPs come from
+    map_fp32: tuple[float, float]  # of all channels: on images as they are, and degraded
     map_int8: tuple[float, float]
     pruning: Pruning
 
     @property
     def losses(self) -> tuple[float, float]:
-        """How much mAP int8 costs, on pictures as they are and as a bad camera shows them."""
-        (drawn, spoilt), (drawn_int8, spoilt_int8) = self.map_fp32, self.map_int8
-        return drawn - drawn_int8, spoilt - spoilt_int8
+        """What int8 costs in mAP, on images as they are and degraded."""
+        (fp32, fp32_degraded), (int8, int8_degraded) = self.map_fp32, self.map_int8
+        return fp32 - int8, fp32_degraded - int8_degraded
 
 
 def sha256_of(path: Path) -> str:
@@ -54,7 +72,7 @@ def sha256_of(path: Path) -> str:
 def quantised_layers(cfg: Cfg) -> list[int]:
     """Layers whose outputs are to be quantised: those that compute.
 
-    But for the maps of the heads, and what is added to a shortcut: its sum is.
+    Except for the maps of the heads, and for what a shortcut adds: the sum is quantised.
     """
     kinds = [layer.kind for layer in cfg.layers]
     return [
@@ -64,10 +82,10 @@ def quantised_layers(cfg: Cfg) -> list[int]:
     ]
 
 
-def joined(cfg: Cfg, ranges: dict[int, Range]) -> dict[int, Range]:
-    """Ranges in which layers that a ``[route]`` joins have one in common.
+def merge_ranges(cfg: Cfg, ranges: Mapping[int, Range]) -> dict[int, Range]:
+    """Ranges in which layers that a ``[route]`` concatenates have one in common.
 
-    Only maps with one scale can be joined in 8 bits, without being computed anew.
+    Only maps with one scale can be concatenated in 8 bits without being computed again.
     """
     group = {layer: {layer} for layer in ranges}
     for index, layer in enumerate(cfg.layers):
@@ -85,7 +103,7 @@ def joined(cfg: Cfg, ranges: dict[int, Range]) -> dict[int, Range]:
 
 
 def _origins(cfg: Cfg, index: int) -> set[int]:
-    """The layers that compute the values which a layer hands on."""
+    """The layers that compute the values which a layer passes on."""
     layer = cfg.layers[index]
     if layer.kind == "route":
         return set().union(*(_origins(cfg, source) for source in route_sources(layer, index)))
@@ -119,14 +137,14 @@ def find_calibration(weights: Path, cfg: Cfg) -> Calibration | None:
 def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path:
     """Keep a calibration beside the weights, or in the user's cache where that is not writable.
 
-    Returns the file. Raises DroptrackError if int8 costs more than MAX_LOSS on pictures as they
+    Returns the file. Raises DroptrackError if int8 costs more than MAX_LOSS on images as they
     are, or where nothing is writable.
     """
     if not calibration.losses[0] <= MAX_LOSS:
         raise DroptrackError(
             f"{weights}: int8 is refused: mAP falls from {calibration.map_fp32[0]:.4f} to "
-            f"{calibration.map_int8[0]:.4f} on {calibration.n_checked} pictures, by more than "
-            f"{MAX_LOSS}; use bf16, or calibrate on more pictures"
+            f"{calibration.map_int8[0]:.4f} on {calibration.n_checked} images, by more than "
+            f"{MAX_LOSS}; use bf16, or calibrate on more images"
         )
     arrays = _to_arrays(calibration)
     for path in _places(weights, cfg, calibration.weights_sha256):
@@ -141,14 +159,14 @@ def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path
 
 
 def _to_arrays(calibration: Calibration) -> dict[str, Any]:
-    """What a calibration's file holds: the arrays, and the rest as JSON."""
+    """A calibration as its file has it: the arrays, and the rest as JSON."""
     about = {key: value for key, value in vars(calibration).items() if key != "pruning"}
     arrays: dict[str, Any] = {"about": np.array(json.dumps(about))}
     for layer, rows in calibration.pruning.kept.items():
         arrays[f"kept_{layer}"] = rows
-    for layer, stand_in in calibration.pruning.stand_ins.items():
-        arrays[f"mix_{layer}"] = stand_in.mix
-        arrays[f"offset_{layer}"] = stand_in.offset
+    for layer, reconstruction in calibration.pruning.reconstructions.items():
+        arrays[f"mix_{layer}"] = reconstruction.mix
+        arrays[f"offset_{layer}"] = reconstruction.offset
     return arrays
 
 
@@ -160,7 +178,7 @@ def _from_arrays(arrays: dict[str, Any]) -> Calibration:
     ranges = {int(layer): (float(a), float(b)) for layer, (a, b) in about["ranges"].items()}
     pruning = Pruning(
         {i: arrays[f"kept_{i}"] for i in layers("kept_")},
-        {i: StandIn(arrays[f"mix_{i}"], arrays[f"offset_{i}"]) for i in layers("mix_")},
+        {i: Reconstruction(arrays[f"mix_{i}"], arrays[f"offset_{i}"]) for i in layers("mix_")},
     )
     maps = {key: tuple(about[key]) for key in ("map_fp32", "map_int8")}
     return Calibration(**{**about, **maps, "ranges": ranges, "pruning": pruning})

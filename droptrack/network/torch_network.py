@@ -1,5 +1,7 @@
 """A Darknet ``.cfg`` as a PyTorch module, filled from and dumped to ``.weights`` values."""
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -8,17 +10,21 @@ from torch.nn import functional
 
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import (
+    BATCH_NORM_EPSILON,
+    LEAKY_SLOPE,
+    MAX_LOG_SIZE,
     Cfg,
     Convolution,
     Layer,
+    YoloHead,
+    convolution_padding,
     convolutions,
+    pool_options,
     route_sources,
     yolo_heads,
 )
 
-# Darknet's forks and OpenCV use 1e-5 (the first Darknet 1e-6); the rolling means move by 1 % a
-# batch there, here by 3 % because trainings on a CPU are short.
-BATCH_NORM_EPSILON = 1e-5
+# how far the rolling means move with a batch: Darknet has 0.01, but trainings on a CPU are short
 BATCH_NORM_MOMENTUM = 0.03
 
 
@@ -50,9 +56,7 @@ class DarknetNetwork(nn.Module):
             _module(layer, shapes.get(index)) for index, layer in enumerate(cfg.layers)
         )
         self.sources = [
-            route_sources(layer, index, "layers" if layer.kind == "route" else "from")
-            if layer.kind in ("route", "shortcut")
-            else []
+            route_sources(layer, index) if layer.kind in ("route", "shortcut") else []
             for index, layer in enumerate(cfg.layers)
         ]
 
@@ -81,12 +85,40 @@ class DarknetNetwork(nn.Module):
         return maps
 
 
+class Grid(NamedTuple):
+    """Where the predictions of a head lie: what `decode_boxes` needs besides the logits."""
+
+    corner: Tensor  # (rows, columns, 2), of each cell, in cells
+    cells: Tensor  # (2,): columns, rows
+    anchors: Tensor  # (A, 1, 1, 2), relative to the input
+
+
+def head_grid(head: YoloHead, rows: int, columns: int, device: torch.device | None = None) -> Grid:
+    """The grid of a head, for maps of rows x columns cells."""
+    row, column = torch.meshgrid(
+        torch.arange(rows, device=device), torch.arange(columns, device=device), indexing="ij"
+    )
+    corner = torch.stack([column, row], 2) - (head.scale_x_y - 1) / 2
+    relative = head.anchors / [columns * head.stride, rows * head.stride]
+    anchors = torch.tensor(relative, dtype=torch.float32, device=device)[:, None, None]
+    return Grid(corner.float(), torch.tensor([columns, rows], device=device).float(), anchors)
+
+
+def decode_boxes(logits: Tensor, grid: Grid, scale_x_y: float) -> tuple[Tensor, Tensor]:
+    """Centres and sizes (B, A, rows, columns, 2), relative to the image (YOLOv3, section 2.1).
+
+    Of logits (B, A, rows, columns, 5 + C), as `decoding.decode_head` has them of arrays.
+    """
+    centre = (logits[..., :2].sigmoid() * scale_x_y + grid.corner) / grid.cells
+    size = logits[..., 2:4].clamp(max=MAX_LOG_SIZE).exp() * grid.anchors
+    return centre, size
+
+
 def _module(layer: Layer, convolution: Convolution | None) -> nn.Module:
     if convolution is not None:
         return _convolution(layer, convolution)
     if layer.kind == "maxpool":
-        size, stride = layer.integer("size", 2), layer.integer("stride", 1)
-        return MaxPool(size, stride, layer.integer("padding", size - 1))
+        return MaxPool(*pool_options(layer))
     if layer.kind == "upsample":
         return nn.Upsample(scale_factor=layer.integer("stride", 2), mode="nearest")
     return nn.Identity()  # route, shortcut and yolo: done in forward
@@ -94,13 +126,12 @@ def _module(layer: Layer, convolution: Convolution | None) -> nn.Module:
 
 def _convolution(layer: Layer, shape: Convolution) -> nn.Sequential:
     groups = layer.integer("groups", 1)
-    padding = shape.size // 2 if layer.integer("pad", 0) else layer.integer("padding", 0)
     convolution = nn.Conv2d(
         shape.inputs * groups,
         shape.outputs,
         shape.size,
         layer.integer("stride", 1),
-        padding,
+        convolution_padding(layer),
         groups=groups,
         bias=not shape.batch_normalize,
     )
@@ -109,7 +140,7 @@ def _convolution(layer: Layer, shape: Convolution) -> nn.Sequential:
         parts.append(nn.BatchNorm2d(shape.outputs, BATCH_NORM_EPSILON, BATCH_NORM_MOMENTUM))
     activation = layer.text("activation", "logistic")
     if activation == "leaky":
-        parts.append(nn.LeakyReLU(0.1, inplace=True))
+        parts.append(nn.LeakyReLU(LEAKY_SLOPE, inplace=True))
     elif activation == "mish":
         parts.append(nn.Mish(inplace=True))
     elif activation != "linear":

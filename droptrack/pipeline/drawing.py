@@ -31,7 +31,7 @@ class Annotator:
 
     def draw(self, index: int, frame: Frame, rows: Iterable[Row]) -> Frame:
         """A copy of the frame (H, W, 3) with the box, ID and trail of every row."""
-        picture = frame.copy()
+        image = frame.copy()
         rows = list(rows)
         for row in rows:
             self._trails.setdefault(row.track_id, []).append((index, *row.values[:2].tolist()))
@@ -39,38 +39,38 @@ class Annotator:
             recent = [point for point in trail if point[0] > index - TRAIL_FRAMES]
             if recent:
                 self._trails[track_id] = recent
-                _draw_trail(picture, recent, index, colour_of(track_id))
+                _draw_trail(image, recent, index, colour_of(track_id))
             else:
                 del self._trails[track_id]
         for row in rows:
-            _draw_box(picture, row)
-        return picture
+            _draw_box(image, row)
+        return image
 
 
 def _draw_trail(
-    picture: Frame, trail: list[tuple[int, float, float]], now: int, colour: tuple[int, int, int]
+    image: Frame, trail: list[tuple[int, float, float]], now: int, colour: tuple[int, int, int]
 ) -> None:
     """Older pieces fade into a dark shade of the colour."""
     points = [(round(x * 16), round(y * 16)) for _, x, y in trail]
     for start, end, (frame, _, _) in zip(points, points[1:], trail[1:], strict=False):
         fade = 1 - (now - frame) / TRAIL_FRAMES
         shade = tuple(int(level * (0.2 + 0.8 * fade)) for level in colour)
-        cv2.line(picture, start, end, shade, 2, cv2.LINE_AA, shift=4)
+        cv2.line(image, start, end, shade, 2, cv2.LINE_AA, shift=4)
 
 
-def _draw_box(picture: Frame, row: Row) -> None:
+def _draw_box(image: Frame, row: Row) -> None:
     cx, cy, w, h = row.values[2:6]
     corners = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2]).round().astype(int)
     left, top, right, bottom = corners.tolist()
     colour = colour_of(row.track_id)
-    cv2.rectangle(picture, (left, top), (right, bottom), colour, 2 if row.observed else 1)
+    cv2.rectangle(image, (left, top), (right, bottom), colour, 2 if row.observed else 1)
     label = _label(row.track_id)
     height, width = label.shape[:2]
-    frame_height, frame_width = picture.shape[:2]
+    frame_height, frame_width = image.shape[:2]
     x0 = min(max(left, 0), frame_width - width)
     y0 = top - height if top >= height else min(bottom, frame_height - height)
     if x0 >= 0 and y0 >= 0:
-        picture[y0 : y0 + height, x0 : x0 + width] = label
+        image[y0 : y0 + height, x0 : x0 + width] = label
 
 
 @lru_cache(maxsize=4096)

@@ -6,7 +6,6 @@ from math import ceil
 from pathlib import Path
 
 import numpy as np
-import typer
 from numpy.typing import NDArray
 
 from droptrack.data.arrays import Floats
@@ -16,17 +15,20 @@ from droptrack.data.mot_files import BLOCK, open_detections
 from droptrack.data.report import Value
 from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.errors import DroptrackError
-from droptrack.pipeline.run import FURTHER_COLUMNS, Results, finish
+from droptrack.pipeline.config import DetectionsConfig
+from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.run import Say, TrackingRun, to_stderr
 from droptrack.tracking.appearance import describe_sizes
+from droptrack.tracking.choice import make_tracker
 from droptrack.tracking.recorder import Recorder
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
 
 # rows (M,) of a file, from 0 -> unit descriptors (M, D)
-Looks = Callable[[NDArray[np.int64]], Floats]
+DescriptorsOf = Callable[[NDArray[np.int64]], Floats]
 
 
-def open_descriptors(path: Path, n: int) -> Looks:
+def open_descriptors(path: Path, n: int) -> DescriptorsOf:
     """Unit descriptors of a file's detections, from an .npy file with a row for each of the n.
 
     The file stays where it is: rows are read when they are asked for.
@@ -41,29 +43,32 @@ def open_descriptors(path: Path, n: int) -> Looks:
         if len(bad):
             raise DroptrackError(f"{path}: row {start + int(bad[0]) + 1} has no direction")
 
-    def looks(rows: NDArray[np.int64]) -> Floats:
+    def descriptors_of(rows: NDArray[np.int64]) -> Floats:
         some = np.asarray(table[rows], np.float64)
         return np.asarray(some / np.linalg.norm(some, axis=1, keepdims=True))
 
-    return looks
+    return descriptors_of
 
 
-def follow_detections(
+def track_detections(
     frames: Iterable[tuple[Detections, NDArray[np.int64]]],
-    looks: Looks | None,
+    descriptors_of: DescriptorsOf | None,
     tracker: Tracker,
     results: Results,
 ) -> Iterator[int]:
     """Track frame by frame into `results`; yields the number of frames done.
 
-    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them; `looks`: the unit
-    descriptors of rows; without, the detections' sizes.
+    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them. `descriptors_of`
+    gives the unit descriptors of rows; without, they are the detections' sizes.
     """
     recorder = Recorder(tracker.delay + tracker.max_age)
     try:
         for index, (found, rows) in enumerate(frames):
-            look = describe_sizes(found.boxes) if looks is None else looks(rows)
-            update = tracker.update(found.boxes, look)
+            if descriptors_of is None:
+                descriptors = describe_sizes(found.boxes)
+            else:
+                descriptors = descriptors_of(rows)
+            update = tracker.update(found.boxes, descriptors)
             recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
             results.n_frames += 1
             results.n_detections += len(found)
@@ -74,34 +79,37 @@ def follow_detections(
         results.take_rest(recorder, unconfirmed=too_short)
 
 
-def track_detections(
-    detections: Path,
-    descriptors: Path | None,
-    tracker: Tracker,
-    settings: dict[str, Value],
-    out: Path | None,
-) -> None:
-    """Track a file of detections into a folder, by default tracks/<the file's name>."""
-    frames = open_detections(detections)
-    looks = None if descriptors is None else open_descriptors(descriptors, frames.n_rows)
+def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRun:
+    """Track the detections of a file into a folder.
+
+    `say` is told what is odd about the file. Raises DroptrackError where it cannot be used.
+    """
+    tracker, tracker_settings = make_tracker(
+        config.tracker, by_descriptors=config.descriptors is not None
+    )
+    frames = open_detections(config.detections)
+    descriptors_of = None
+    if config.descriptors is not None:
+        descriptors_of = open_descriptors(config.descriptors, frames.n_rows)
     if frames.out_of_order:
-        typer.echo(
-            f"{detections}: row {frames.out_of_order} belongs before the one above it: rows are "
-            "sorted by frame first",
-            err=True,
+        say(
+            f"{config.detections}: row {frames.out_of_order} belongs before the one above it: rows "
+            "are sorted by frame first"
         )
-    out = out or Path("tracks") / detections.stem
-    out.mkdir(parents=True, exist_ok=True)
-    width, height = max(1, ceil(frames.right)), max(1, ceil(frames.bottom))
+    folder = config.folder
+    folder.mkdir(parents=True, exist_ok=True)
     about: dict[str, Value] = {
         "made by": f"droptrack {__version__}, droptrack.track",
-        "detections": f"{detections}, {frames.n_frames} frames",
+        "detections": f"{config.detections}, {frames.n_frames} frames",
         "units": "px, y points down; frames count from 0, one less than in the detections",
     }
     began = time.perf_counter()
-    with TrajectoryWriter(out / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
+    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
         results = Results(rows)
-        for _ in follow_detections(frames, looks, tracker, results):
+        for _ in track_detections(frames, descriptors_of, tracker, results):
             pass
-    finish(out, (width, height), {**about, **settings}, results, 0, time.perf_counter() - began)
-    typer.echo(f"results in {out}")
+    seconds = time.perf_counter() - began
+    report = summarise(results, {**about, **tracker_settings}, 0, seconds)
+    size = (max(1, ceil(frames.right)), max(1, ceil(frames.bottom)))
+    write_report(folder, report, results.paths, size)
+    return TrackingRun(folder, report)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from droptrack.data.report import Value
 from droptrack.data.trajectories import Trajectories
 
-DRAWN_STEP_PX = 2.0  # least distance between points of a drawn line,
-MOST_POINTS = 4000  # which are no more than these: of a longer line every other one is kept
+DRAWN_STEP_PX = 2.0  # minimum distance between points of a drawn line
+MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
 
 
 @dataclass
-class Path:
+class DropletPath:
     """One droplet's path; `points` are x, y of its line for drawing."""
 
     first_frame: int
@@ -37,7 +37,7 @@ class Path:
             self.x, self.y = x, y
             if not self.points or hypot(x - self.points[-2], y - self.points[-1]) > self.step_px:
                 self.points.extend((x, y))
-        while len(self.points) > 2 * MOST_POINTS:
+        while len(self.points) > 2 * MAX_POINTS:
             pairs = np.frombuffer(self.points, np.float32).reshape(-1, 2)
             self.points = array("f", pairs[::2].tobytes())
             self.step_px *= 2
@@ -47,7 +47,7 @@ class Paths:
     """The paths of all droplets."""
 
     def __init__(self) -> None:
-        self._paths: dict[int, Path] = {}
+        self._paths: dict[int, DropletPath] = {}
 
     def add(self, rows: Trajectories) -> None:
         """Take rows that follow on those before."""
@@ -61,7 +61,7 @@ class Paths:
             ids.tolist(), starts.tolist(), ends, observed.tolist(), diameters.tolist(), strict=True
         ):
             one = slice(start, end)
-            born = Path(frames[start], frames[start], xs[start], ys[start])
+            born = DropletPath(frames[start], frames[start], xs[start], ys[start])
             path = self._paths.setdefault(track_id, born)
             path.add(frames[end - 1], xs[one], ys[one])
             path.n_observed += n_observed

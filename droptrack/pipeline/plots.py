@@ -1,4 +1,4 @@
-"""Pictures of results."""
+"""Plots of results."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ mpl.rcParams["savefig.dpi"] = 130
 def plot_paths(
     path: Path, lines: Mapping[int, NDArray[np.float32]], width: int, height: int
 ) -> None:
-    """The paths (K, 2) px of all droplets in the picture's frame, as the paper's figures 8, 10."""
+    """The paths (K, 2) px of all droplets in the image's frame, as the paper's figures 8, 10."""
     figure = Figure(figsize=(10, 10 * height / width + 0.8), layout="constrained")
     axes = figure.subplots()
     for track_id, points in lines.items():

@@ -1,227 +1,236 @@
-"""Video -> detections -> tracks -> centres of mass -> trajectories, frame by frame.
+"""One run: a video in; trajectories, annotated video, plot and report out."""
 
-Stages overlap: while one frame is tracked, networks run on the next ones, those after them are
-decoded, and those before are drawn and written. Order is kept, and what waits is bounded.
-"""
-
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from time import perf_counter
 
-import numpy as np
-from numpy.typing import NDArray
-
-from droptrack.data.detections import Detections
-from droptrack.data.frames import Frame
+from droptrack.compiled import explained
 from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
-from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
+from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
+from droptrack.data.video import Video, VideoWriter
+from droptrack.detection import decoding
 from droptrack.detection.detector import Detector
-from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
-from droptrack.pipeline.paths import Paths
-from droptrack.pipeline.threads import AnnotatedVideo, FrameReader, NumberedFrame, side_by_side
+from droptrack.detection.engine_choice import Network, choose_detector
+from droptrack.errors import DroptrackError
+from droptrack.measurement import centre_of_mass
+from droptrack.network.bundled import find_network
+from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.quantisation import sha256_of
+from droptrack.pipeline.config import TrackingConfig
+from droptrack.pipeline.loop import track_frames
+from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.threads import AnnotatedVideo
+from droptrack.progress import progress_bar
 from droptrack.tracking.appearance import Describe
-from droptrack.tracking.recorder import Recorded, Recorder
-from droptrack.tracking.smoothing import COLUMNS as SMOOTHED
-from droptrack.tracking.smoothing import Smoother
+from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
+from droptrack.version import __version__
 
-FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
-AT_ONCE = 10  # frames; one by one they take half as long again
-
-
-@dataclass
-class Results:
-    """The files that tracking writes, filled frame by frame, and what is counted meanwhile."""
-
-    rows: TrajectoryWriter
-    video: AnnotatedVideo | None = None
-    times: StageTimes = field(default_factory=StageTimes)
-    n_frames: int = 0
-    n_dropped: int = 0  # frames of a live source that came while others were at work
-    n_measured: int = 0  # detections whose centre of mass could be measured
-    n_detections: int = 0
-    slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
-    paths: Paths = field(default_factory=Paths)
-    _late: deque[tuple[int, Frame]] = field(default_factory=deque)
-    _smoother: Smoother = field(default_factory=Smoother)
-
-    def take_final(self, recorder: Recorder) -> None:
-        """Write rows that are final, those of some frames together, once they are smoothed."""
-        if self.n_frames % AT_ONCE == 0:
-            with self.times.measure("write"):
-                self._write(self._smoother.add(recorder.take_final()))
-
-    def take_rest(self, recorder: Recorder, *, unconfirmed: bool) -> None:
-        """Write all that is left, see `Recorder.take_rest`."""
-        with self.times.measure("write"):
-            self._write(self._smoother.add(recorder.take_rest(unconfirmed=unconfirmed)))
-            self._write(self._smoother.rest())
-
-    def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
-        for recorded, columns in smoothed:
-            rows = recorded.rows
-            extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *columns.T)
-            self.rows.write(rows, extra)
-            self.paths.add(rows)
-
-    def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
-        """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
-        if self.video is None:
-            return
-        self._late.append((index, frame))
-        if len(self._late) > delay:
-            self._show_next(recorder)
-
-    def show_rest(self, recorder: Recorder) -> None:
-        """Write the annotated frames that are left."""
-        while self._late:
-            self._show_next(recorder)
-
-    def _show_next(self, recorder: Recorder) -> None:
-        assert self.video is not None
-        index, frame = self._late.popleft()
-        self.video.write(index, frame, list(recorder.rows_of(index)))
+Say = Callable[[str], object]
 
 
-class Follower:
-    """Tracks the detections of one frame after the other into `results`.
+@dataclass(frozen=True)
+class TrackingRun:
+    """What a run left: its folder, its report, and what ended it too early, if anything did.
 
-    Where a number is left out, the droplets moved on in a frame that could not be decoded; in a
-    live source the next frame that is looked at comes next.
+    The folder holds ``trajectories.csv``, ``tracked.mp4``, ``paths.png`` and ``report.json``.
     """
 
-    def __init__(
-        self, tracker: Tracker, describe: Describe, results: Results, *, live: bool = False
-    ) -> None:
-        self._tracker, self._describe, self._results = tracker, describe, results
-        self._recorder = Recorder(tracker.delay + tracker.max_age)
-        load_loops()  # now, not while the first frame waits
-        self._live = live
-        self._next: int | None = None
+    folder: Path
+    report: Report
+    problem: DroptrackError | None = None
 
-    def add(self, item: NumberedFrame, detections: Detections) -> None:
-        """Take the next frame's detections."""
-        results, tracker = self._results, self._tracker
-        index, frame, decoded = item
-        lost = range(index if self._live or self._next is None else self._next, index)
-        self._next = index + 1
-        with results.times.measure("track"):
-            for number in lost:
-                self._track(number, frame, detections[:0])
-            results.n_measured += self._track(index, frame, detections)
-        results.n_frames += 1
-        results.n_detections += len(detections)
-        results.slowest = max(results.slowest, perf_counter() - decoded)
-        results.show(index, frame, self._recorder, tracker.delay)
-        results.take_final(self._recorder)
-
-    def _track(self, index: int, frame: Frame, detections: Detections) -> int:
-        """Track and record; returns for how many droplets a centre of mass was measured."""
-        update = self._tracker.update(detections.boxes, self._describe(frame, detections.boxes))
-        centres, measured = centres_of_mass(frame, detections.boxes)
-        self._recorder.add(index, detections, centres, measured, update)
-        return int(measured.sum())
-
-    def finish(self) -> None:
-        """Write what was held back."""
-        self._results.show_rest(self._recorder)
-        too_short = self._results.n_frames < self._tracker.n_init  # for any to be confirmed
-        self._results.take_rest(self._recorder, unconfirmed=too_short)
+    @cached_property
+    def trajectories(self) -> Trajectories:
+        """The rows of ``trajectories.csv``, read when they are first asked for."""
+        return read_trajectories(self.folder / "trajectories.csv")[0]
 
 
-def follow(
-    frames: Iterable[tuple[int, Frame]],
-    detector: Detector,
-    tracker: Tracker,
-    describe: Describe,
-    results: Results,
-    *,
-    batch: int = 1,
-    live: bool = False,
-) -> Iterator[int]:
-    """Detect and track numbered frames into `results`; yields the number of frames done.
+def to_stderr(text: str) -> None:
+    """Tell a user something beside the results."""
+    print(text, file=sys.stderr)
 
-    `live`: no frame waits for others. When one is done, the newest goes next, and those that came
-    in between are dropped, so that a frame is never older than two take. Otherwise every frame is
-    tracked, `batch` at once through the network.
+
+@dataclass(frozen=True, kw_only=True)
+class _Opened:
+    """What a run reads, and what it computes with."""
+
+    source: Video
+    live: bool
+    network: Cfg
+    weights: Path
+    detector: Detector
+    tracker: Tracker
+    tracker_settings: dict[str, Value]
+    describe: Describe
+
+    def n_frames(self, max_frames: int) -> int:
+        """Frames that are to come, as far as the container knows; 0 where nobody does."""
+        known = [n for n in (self.source.info.n_frames, max_frames) if n]
+        return min(known, default=0)
+
+
+def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) -> TrackingRun:
+    """Track the droplets of a video into a folder.
+
+    `say` is told which engine is used, and what went wrong on the way. Whatever ends the run, what
+    was tracked until then is kept. Raises DroptrackError where it cannot begin.
     """
-    follower = Follower(tracker, describe, results, live=live)
-    running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
-    engine = detector.engine
-    most = 0 if live else 2 * engine.parallel  # so that the network waits for nobody
-
-    def finish_oldest() -> int:
-        items, detections_of = running.popleft()
-        try:
-            found = detections_of()
-        except BaseException:
-            running.clear()  # nothing goes on from here
-            raise
-        for item, detections in zip(items, found, strict=True):
-            follower.add(item, detections)
-        return results.n_frames
-
-    try:
-        with (
-            side_by_side(engine.opencv_threads),
-            FrameReader(frames, results.times, newest=live) as reader,
-        ):
-            source = iter(reader)
-            while items := list(islice(source, 1 if live else batch)):
-                pictures = [item.frame for item in items]
-                running.append((items, detector.start(pictures, results.times)))
-                results.n_dropped = reader.n_dropped
-                if len(running) > most:
-                    yield finish_oldest()
-            while running:
-                yield finish_oldest()
-    except BaseException:
-        while running:
-            finish_oldest()
-        raise
-    finally:
-        follower.finish()
+    opened = _open(config, say)
+    folder = _make_folder(config)
+    about = _about(config, opened)
+    info, network = opened.source.info, opened.network
+    say(
+        f"{config.video}: {network.path.stem}, {network.width} x {network.height} px, on "
+        f"{opened.detector.engine.name}"
+    )
+    began = time.perf_counter()
+    results, problem = _track(config, opened, folder, about, progress=progress)
+    total = opened.n_frames(config.max_frames)
+    n_missing = 0 if opened.live or problem else max(0, total - results.n_frames)
+    settings = {**about, **_settings(config, opened)}
+    report = summarise(results, settings, n_missing, time.perf_counter() - began)
+    write_report(folder, report, results.paths, (info.width, info.height))
+    if problem is not None:
+        problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
+    else:
+        _say_what_is_odd(config, results, n_missing, total, say)
+    return TrackingRun(folder, report, problem)
 
 
-def summarise(
-    results: Results, settings: dict[str, Value], n_missing: int, seconds: float
-) -> Report:
-    """One row a droplet: when and how far it went.
+def _open(config: TrackingConfig, say: Say) -> _Opened:
+    """Everything that can refuse to work, before anything is written."""
+    tracker, tracker_settings = make_tracker(config.tracker)
+    describe = choose_descriptor(config.tracker)
+    network, weights = find_network(config.weights, config.cfg, config.size)
+    source = Video(config.video)
+    live = source.live if config.live is None else config.live
+    with explained(say):
+        decoding.load_loops()
+        centre_of_mass.load_loops()
+    detector = choose_detector(
+        Network(network, weights, config.score, config.max_iou, config.dark),
+        config.backend,
+        config.precision,
+        live=live,
+        say=say,
+    )
+    return _Opened(
+        source=source,
+        live=live,
+        network=network,
+        weights=weights,
+        detector=detector,
+        tracker=tracker,
+        tracker_settings=tracker_settings,
+        describe=describe,
+    )
 
-    `n_missing` frames could not be decoded; `seconds` are those of the whole.
-    """
-    droplets = results.paths.table()
-    summary: dict[str, Value] = {
-        "n_frames": results.n_frames,
-        "n_droplets": len(droplets),
-        "n_detections": results.n_detections,
-        "n_centres_of_mass_measured": results.n_measured,
-        "n_frames_missing": n_missing,
-        "n_frames_dropped": results.n_dropped,
-        "slowest_frame_s": results.slowest,
-        "seconds": seconds,
-        "frames_per_second": results.n_frames / seconds,
-        **results.times.milliseconds_a_frame(results.n_frames),
+
+def _make_folder(config: TrackingConfig) -> Path:
+    folder = config.folder
+    if Path(config.video).resolve() == (folder / "tracked.mp4").resolve():
+        raise DroptrackError(
+            f"{config.video}: would be overwritten by the results; choose another --out"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
+    """What made the results, for the first lines of their table."""
+    info = opened.source.info
+    return {
+        "made by": f"droptrack {__version__}, droptrack.track",
+        "video": f"{config.video}, {info.width} x {info.height} px, {info.fps:g} frames/s",
+        "network": f"{opened.network.path}, {opened.weights}",
+        "weights sha256": sha256_of(opened.weights),
+        "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
     }
-    return Report("Droplets", settings, summary, droplets)
 
 
-def finish(
-    out: Path,
-    size: tuple[int, int],
-    settings: dict[str, Value],
-    results: Results,
-    n_missing: int,
-    seconds: float,
+def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
+    """How the results were made, for the report."""
+    return {
+        "backend": opened.detector.engine.name,
+        "network_size": [opened.network.width, opened.network.height],
+        "live": opened.live,
+        "score": config.score,
+        "max_iou": config.max_iou,
+        "dark": config.dark,
+        **opened.tracker_settings,
+    }
+
+
+def _track(
+    config: TrackingConfig,
+    opened: _Opened,
+    folder: Path,
+    about: Mapping[str, Value],
+    *,
+    progress: bool,
+) -> tuple[Results, DroptrackError | None]:
+    """Track frame by frame into the folder's files; also tells what ended it too early."""
+    problem: DroptrackError | None = None
+    times = StageTimes()
+    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
+        video: AnnotatedVideo | None = None
+        if config.annotated_video:
+            writer = VideoWriter(folder / "tracked.mp4", opened.source.info, "mp4v")
+            video = AnnotatedVideo(writer, times)
+        results = Results(rows, video, times)
+        done = track_frames(
+            islice(opened.source.numbered(), config.max_frames or None),
+            opened.detector,
+            opened.tracker,
+            opened.describe,
+            results,
+            batch=config.batch,
+            live=opened.live,
+        )
+        try:
+            _show_progress(done, opened.n_frames(config.max_frames), shown=progress)
+        except KeyboardInterrupt:
+            problem = DroptrackError(f"interrupted after {results.n_frames} frames")
+        except DroptrackError as error:
+            problem = error
+        try:
+            if video is not None:
+                video.close()
+        except DroptrackError as error:
+            problem = problem or error
+    return results, problem
+
+
+def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:
+    """Go through the numbers of frames done, with a progress bar."""
+    began = time.perf_counter()
+    with progress_bar("frames", shown=shown) as bar:
+        task = bar.add_task("tracking", total=total or None, note="")
+        for n in done:
+            rate = n / (time.perf_counter() - began)
+            bar.update(task, completed=n, note=f"{rate:.1f} frames/s")
+
+
+def _say_what_is_odd(
+    config: TrackingConfig, results: Results, n_missing: int, total: int, say: Say
 ) -> None:
-    """Write the plot, of a picture of `size` px, and the report, and print the table."""
-    from droptrack.pipeline.plots import plot_paths
-
-    report = summarise(results, settings, n_missing, seconds)
-    report.write_json(out / "report.json")
-    report.print()
-    plot_paths(out / "paths.png", results.paths.lines(), *size)
+    """Tell what a user might not expect of the results."""
+    if n_missing:
+        say(
+            f"{config.video}: {n_missing} of the {total} frames it claims could not be decoded: it "
+            "is damaged, or ends early"
+        )
+    if results.n_frames and not results.n_detections:
+        shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")
+        say(
+            f"{config.video}: no droplets found; if they are {shade} than what is around them, "
+            f"{cure} --dark"
+        )
+    if results.n_dropped:
+        say(f"{config.video}: {results.n_dropped} frames dropped, newer ones were there")

@@ -1,6 +1,6 @@
 """Which tracker: the one made for droplets, or DeepSORT."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 
@@ -22,36 +22,60 @@ class TrackerName(StrEnum):
     deepsort = "deepsort"
 
 
+@dataclass(frozen=True, kw_only=True)
+class TrackerConfig:
+    """Which tracker, and what to change of its settings.
+
+    `max_age`: frames that a droplet may be missed; `n_init`: detections that confirm a droplet;
+    without, the chosen tracker's own. `max_cosine_distance`, `nn_budget` and `max_iou_distance` are
+    DeepSORT's (`deepsort.Parameters`). `appearance`: a network that tells droplets apart, an .onnx
+    file or a Darknet .cfg with its `appearance_weights`; `appearance_size`: width and height of its
+    input, px.
+    """
+
+    name: TrackerName = TrackerName.droplet
+    max_age: int | None = None
+    n_init: int | None = None
+    max_cosine_distance: float = Parameters.max_cosine_distance
+    nn_budget: int = Parameters.nn_budget
+    max_iou_distance: float = Parameters.max_iou_distance
+    appearance: Path | None = None
+    appearance_weights: Path | None = None
+    appearance_size: tuple[int, int] = (64, 64)
+
+
 def make_tracker(
-    name: TrackerName,
-    deepsort_parameters: Parameters,
-    *,
-    max_age: int | None = None,
-    n_init: int | None = None,
-    by_appearance: bool = False,
+    config: TrackerConfig, *, by_descriptors: bool = False
 ) -> tuple[Tracker, dict[str, Value]]:
     """A tracker, and its settings for the report.
 
-    `max_age` and `n_init` take the place of the chosen tracker's own; the rest of
-    `deepsort_parameters` is DeepSORT's alone. `by_appearance`: the droplet tracker looks at the
-    descriptors, which DeepSORT always does.
+    `by_descriptors`: the droplet tracker compares descriptors even without an appearance network,
+    as DeepSORT always does.
     """
-    if name == TrackerName.deepsort:
-        p = deepsort_parameters
-        p = replace(p, max_age=max_age or p.max_age, n_init=n_init or p.n_init)
-        return deepsort.Tracker(p), asdict(p)
-    own = DropletParameters(appearance=APPEARANCE if by_appearance else 0.0)
-    own = replace(own, max_age=max_age or own.max_age, n_init=n_init or own.n_init)
+    if config.name is TrackerName.deepsort:
+        parameters = Parameters(
+            max_cosine_distance=config.max_cosine_distance,
+            nn_budget=config.nn_budget,
+            max_iou_distance=config.max_iou_distance,
+            max_age=config.max_age or Parameters.max_age,
+            n_init=config.n_init or Parameters.n_init,
+        )
+        return deepsort.Tracker(parameters), asdict(parameters)
+    compares = by_descriptors or config.appearance is not None
+    own = DropletParameters(
+        appearance=APPEARANCE if compares else 0.0,
+        max_age=config.max_age or DropletParameters.max_age,
+        n_init=config.n_init or DropletParameters.n_init,
+    )
     return DropletTracker(own), asdict(own)
 
 
-def choose_appearance(
-    tracker: TrackerName, network: Path | None, weights: Path | None, size: tuple[int, int]
-) -> Describe:
+def choose_descriptor(config: TrackerConfig) -> Describe:
     """What describes droplets for a tracker: a network of the user's, else grey levels and size.
 
-    Nothing for the droplet tracker without such a network, which does not look then.
+    Nothing for the droplet tracker without such a network, which compares no descriptors then.
     """
-    if network is not None:
-        return NetworkAppearance(network, weights, size)
-    return describe if tracker is TrackerName.deepsort else describe_nothing
+    if config.appearance is not None:
+        size = config.appearance_size
+        return NetworkAppearance(config.appearance, config.appearance_weights, size)
+    return describe if config.name is TrackerName.deepsort else describe_nothing

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
-from droptrack.data.trajectories import Trajectories, joined_trajectories
+from droptrack.data.trajectories import Trajectories, concatenate
 from droptrack.tracking.tracker import Update
 
 Ids = NDArray[np.int64]
@@ -56,7 +56,7 @@ class Recorded:
 def joined(parts: Sequence[Recorded]) -> Recorded:
     """One after the other."""
     measured = np.concatenate([part.measured for part in parts])
-    return Recorded(joined_trajectories([part.rows for part in parts]), measured)
+    return Recorded(concatenate([part.rows for part in parts]), measured)
 
 
 class Recorder:

@@ -1,11 +1,11 @@
-"""What would make a training fail hours after its start, looked for before it."""
+"""Checks before a training starts, so that it does not fail hours later."""
 
 import shutil
 from pathlib import Path
 
 from droptrack.data.darknet_dataset import DataSet, read_labels
 from droptrack.errors import DroptrackError
-from droptrack.network.darknet_cfg import Cfg, convolutions, yolo_heads
+from droptrack.network.darknet_cfg import INPUT_MULTIPLE, Cfg, convolutions, yolo_heads
 
 # AlexeyAB's Darknet looks for the labels of such images elsewhere
 MOVED_LABELS = (
@@ -47,8 +47,8 @@ def check_network(cfg: Cfg, data: DataSet) -> None:
         )
     if net.integer("letter_box", 0):
         raise DroptrackError(
-            f"{cfg.path}:{net.line}: letter_box=1 trains on pictures with borders, but droptrack "
-            "stretches pictures to the network's size; set letter_box=0"
+            f"{cfg.path}:{net.line}: letter_box=1 trains on images with borders, but droptrack "
+            "stretches images to the network's size; set letter_box=0"
         )
     if len(net.numbers("steps", ())) != len(net.numbers("scales", ())):
         raise DroptrackError(f"{cfg.path}:{net.line}: steps= and scales= should be equally many")
@@ -56,10 +56,10 @@ def check_network(cfg: Cfg, data: DataSet) -> None:
         raise DroptrackError(f"{cfg.path}:{net.line}: max_batches= should say how long to train")
 
 
-def check_pictures(cfg: Cfg, data: DataSet) -> None:
+def check_images(cfg: Cfg, data: DataSet) -> None:
     """Look at every image's file and labels; raises DroptrackError, with line and cure."""
     layer = next(layer for layer in cfg.layers if layer.kind == "yolo")
-    most = layer.integer("max", 200)
+    max_boxes = layer.integer("max", 200)
     for listing in (data.train, data.valid):
         for image in listing:
             if not image.is_file() or not image.stat().st_size:
@@ -74,10 +74,10 @@ def check_pictures(cfg: Cfg, data: DataSet) -> None:
                     "droplets an empty file"
                 )
             class_ids, boxes = read_labels(image)
-            if len(boxes) > most:
+            if len(boxes) > max_boxes:
                 raise DroptrackError(
-                    f"{cfg.path}:{layer.line}: max={most}, but {labels} has {len(boxes)} boxes, "
-                    f"the rest of which would not be learnt; set max={len(boxes)} or more"
+                    f"{cfg.path}:{layer.line}: max={max_boxes}, but {labels} has {len(boxes)} "
+                    f"boxes, the rest of which would not be learnt; set max={len(boxes)} or more"
                 )
             for row, (class_id, box) in enumerate(zip(class_ids, boxes, strict=True)):
                 if not 0 <= class_id < len(data.names):
@@ -108,6 +108,15 @@ def check_for_torch(cfg: Cfg) -> None:
                     f"{cfg.path}:{layer.line}: {key}={text} is only for Darknet; "
                     f"set {key}={known}, or use --trainer darknet"
                 )
+
+
+def check_window(window: tuple[int, int] | None) -> None:
+    """Raises DroptrackError for a window that is no input of a network."""
+    if window and any(side < INPUT_MULTIPLE or side % INPUT_MULTIPLE for side in window):
+        width, height = window
+        raise DroptrackError(
+            f"--window {width}x{height}: both should be multiples of {INPUT_MULTIPLE}"
+        )
 
 
 def _number(text: str) -> float | str:

@@ -1,4 +1,4 @@
-"""What a training leaves behind, whichever program trains: training.csv, its picture, run.json."""
+"""The record of a training, whichever program trains: training.csv, training.png, run.json."""
 
 import csv
 import json
@@ -21,19 +21,19 @@ from droptrack.version import __version__
 REDRAW_SECONDS = 30.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Step:
     """What one iteration did; NaN where a trainer does not say, `mean_ap` where none was measured.
 
     `loss` is the number that Darknet prints, whichever program trains: the squared gradients of the
-    maps, summed over a picture and averaged over pictures and heads. What PyTorch minimises is
-    `regression` + `objectness` + `classes`, per picture. `rewritten` is the share of truths whose
-    cell and anchor another truth took (Darknet: since its start).
+    maps, summed over an image and averaged over images and heads. What PyTorch minimises is
+    `regression` + `objectness` + `classes`, per image. `rewritten` is the share of ground truths
+    whose cell and anchor another one took (Darknet: since its start).
     """
 
     iteration: int
     loss: float
-    average_loss: float  # 0.9 of the one before and 0.1 of this loss
+    average_loss: float  # see running_average
     regression: float
     objectness: float
     classes: float
@@ -45,14 +45,23 @@ class Step:
 
 
 def running_average(average: float, loss: float) -> float:
-    """Darknet's average of the loss; it begins with the first loss and anew after a NaN."""
+    """Darknet's average of the loss; it starts with the first loss, and again after a NaN."""
     return loss if math.isnan(average) else 0.9 * average + 0.1 * loss
+
+
+def diverged(folder: Path, step: Step) -> DroptrackError:
+    """The error for a loss, or its gradient, that is no number any more."""
+    return DroptrackError(
+        f"{folder}: the loss or its gradient became NaN or infinite at iteration {step.iteration}, "
+        f"at a rate of {step.learning_rate:g}; start again, in another --out, with a smaller "
+        "--learning-rate"
+    )
 
 
 class TrainingLog:
     """training.csv, a row an iteration at once, and training.png (the paper's figure 6) beside it.
 
-    A resumed training keeps the rows up to the iteration it goes on from. Raises DroptrackError for
+    A resumed training keeps the rows up to the iteration it resumes from. Raises DroptrackError for
     a training.csv that this program did not write.
     """
 
@@ -75,7 +84,7 @@ class TrainingLog:
         self._draw()
 
     def append(self, step: Step) -> None:
-        """Write a row; now and then draw the picture anew."""
+        """Write a row; every REDRAW_SECONDS, draw training.png again."""
         self._file.write(_row(step))
         self._remember(step)
         if time.monotonic() - self._drawn > REDRAW_SECONDS:
@@ -90,7 +99,7 @@ class TrainingLog:
         )
 
     def forget_after(self, iteration: int) -> None:
-        """Drop the rows beyond an iteration: the training goes on from there."""
+        """Drop the rows beyond an iteration: the training resumes from there."""
         self._file.close()
         self._rewrite([step for step in read_log(self.path) if step.iteration <= iteration])
 
@@ -130,9 +139,8 @@ def read_log(path: Path) -> list[Step]:
             raise DroptrackError(f"{path}: is of another program or version; choose another --out")
         for number, row in enumerate(rows, start=2):
             try:
-                steps.append(
-                    Step(*[f.type(text) for f, text in zip(fields(Step), row, strict=True)])  # type: ignore[operator]
-                )
+                values = {f.name: f.type(v) for f, v in zip(fields(Step), row, strict=True)}  # type: ignore[operator]
+                steps.append(Step(**values))
             except ValueError:
                 raise DroptrackError(f"{path}:{number}: cannot be understood: {row}") from None
     return steps
@@ -148,7 +156,7 @@ def _write_rows(path: Path, steps: list[Step]) -> None:
 
 
 def write_run_file(folder: Path, about: Mapping[str, object]) -> None:
-    """Write run.json: the command, the versions, and what the trainer has to say about itself.
+    """Write run.json: the command, the versions, and what the trainer says about itself.
 
     A resumed run adds an entry to the list.
     """

@@ -51,4 +51,5 @@ def plot_anchors(path: Path, sizes: NDArray[np.float64], anchors: NDArray[np.flo
         xlim=(0, top), ylim=(0, top), aspect="equal", xlabel="width / px", ylabel="height / px"
     )
     figure.colorbar(cells, label="boxes")
-    figure.savefig(path)
+    with replacing(path) as partial:
+        figure.savefig(partial)

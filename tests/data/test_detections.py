@@ -8,7 +8,7 @@ from droptrack.data.detections import (
     labels,
     xyxy_from_boxes,
 )
-from droptrack.detection.suppression import suppress_doubles
+from droptrack.detection.suppression import suppress_duplicates
 
 
 def test_overlap_of_boxes_drawn_on_squared_paper() -> None:
@@ -29,14 +29,14 @@ def test_corners_and_centres_are_converted_there_and_back() -> None:
 def test_of_two_boxes_on_one_droplet_the_better_is_kept() -> None:
     boxes = np.array([[10.0, 10, 8, 8], [10.5, 10, 8, 8], [18.5, 10, 8, 8]])
     found = Detections(boxes, np.array([0.7, 0.9, 0.5]), np.zeros(3, np.int64))
-    kept = suppress_doubles(found, 0.45)
+    kept = suppress_duplicates(found, 0.45)
     assert sorted(kept.scores.tolist()) == [0.5, 0.9]  # the touching neighbour stays
 
 
 def test_doubles_of_other_classes_are_kept() -> None:
     boxes = np.array([[10.0, 10, 8, 8]] * 2)
     found = Detections(boxes, np.array([0.7, 0.9]), np.array([0, 1]))
-    assert len(suppress_doubles(found, 0.45)) == 2
+    assert len(suppress_duplicates(found, 0.45)) == 2
 
 
 def test_two_droplets_that_touch_are_kept_rather_than_a_box_between_them() -> None:
@@ -45,31 +45,31 @@ def test_two_droplets_that_touch_are_kept_rather_than_a_box_between_them() -> No
         [[349.9, 246.8, 37.8, 41.3], [338.3, 256.1, 35.5, 37.5], [355.9, 238.9, 34.4, 42.1]]
     )
     found = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.zeros(3, np.int64))
-    assert suppress_doubles(found, 0.3).boxes.tolist() == boxes[1:].tolist()
-    assert suppress_doubles(found, 0.3, greedy=True).boxes.tolist() == boxes[:1].tolist()
+    assert suppress_duplicates(found, 0.3).boxes.tolist() == boxes[1:].tolist()
+    assert suppress_duplicates(found, 0.3, greedy=True).boxes.tolist() == boxes[:1].tolist()
     unlikely = Detections(boxes, np.array([0.993, 0.99, 0.4]), np.zeros(3, np.int64))
-    assert suppress_doubles(unlikely, 0.3).boxes.tolist() == boxes[:1].tolist()
+    assert suppress_duplicates(unlikely, 0.3).boxes.tolist() == boxes[:1].tolist()
     others = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.array([0, 0, 1]))
-    assert len(suppress_doubles(others, 0.3)) == 2
+    assert len(suppress_duplicates(others, 0.3)) == 2
 
 
 def test_a_droplet_is_kept_rather_than_its_two_halves() -> None:
     boxes = np.array([[50.0, 50, 80, 80], [28.0, 50, 40, 78], [72.0, 50, 40, 78]])
     found = Detections(boxes, np.array([0.9, 0.89, 0.88]), np.zeros(3, np.int64))
-    assert suppress_doubles(found, 0.3).boxes.tolist() == boxes[:1].tolist()
+    assert suppress_duplicates(found, 0.3).boxes.tolist() == boxes[:1].tolist()
 
 
 def test_a_droplet_is_kept_rather_than_two_boxes_beside_it_on_one_side() -> None:
     boxes = np.array([[50.0, 50, 40, 40], [66.0, 36, 40, 40], [66.0, 64, 40, 40]])
     found = Detections(boxes, np.array([0.9, 0.89, 0.88]), np.zeros(3, np.int64))
-    assert suppress_doubles(found, 0.2).boxes.tolist() == boxes[:1].tolist()
+    assert suppress_duplicates(found, 0.2).boxes.tolist() == boxes[:1].tolist()
 
 
 def test_thousands_of_droplets_are_not_capped() -> None:
     x, y = np.meshgrid(np.arange(100) * 10.0, np.arange(50) * 10.0)
     boxes = np.column_stack([x.ravel(), y.ravel(), np.full(5000, 9.0), np.full(5000, 9.0)])
     found = Detections(boxes, np.linspace(0.1, 1, 5000), np.zeros(5000, np.int64))
-    assert len(suppress_doubles(found, 0.45)) == 5000
+    assert len(suppress_duplicates(found, 0.45)) == 5000
 
 
 @pytest.mark.parametrize(
@@ -87,5 +87,5 @@ def test_boxes_that_are_none_are_refused(boxes: np.ndarray, problem: str) -> Non
 
 
 def test_no_detections_are_fine() -> None:
-    assert len(suppress_doubles(labels([]), 0.45)) == 0
+    assert len(suppress_duplicates(labels([]), 0.45)) == 0
     assert iou_matrix(labels([]).boxes, labels([[1, 1, 1, 1]]).boxes).shape == (0, 1)

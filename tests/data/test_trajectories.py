@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,3 +78,39 @@ def test_a_missing_file_and_an_unwritable_folder_are_named(tmp_path: Path) -> No
         read_trajectories(tmp_path / "none.csv")
     with pytest.raises(DroptrackError, match="cannot be written"):
         write_trajectories(tmp_path / "no" / "folder.csv", some(), {})
+
+
+def test_further_columns_come_back_by_their_names(tmp_path: Path) -> None:
+    rows = some()
+    speed = np.arange(len(rows)) / 4
+    wide = replace(rows, columns={"speed": speed})
+    write_trajectories(tmp_path / "t.csv", wide, {})
+    found, _ = read_trajectories(tmp_path / "t.csv")
+    np.testing.assert_array_equal(found.columns["speed"], speed)
+    np.testing.assert_array_equal(found.boxes, rows.boxes)
+    np.testing.assert_array_equal(found[found.frame > 0].columns["speed"], speed[rows.frame > 0])
+    with pytest.raises(ValueError, match="speed should have shape"):
+        replace(rows, columns={"speed": speed[1:]})
+
+
+def test_a_data_frame_has_trackpys_columns_first() -> None:
+    pandas = pytest.importorskip("pandas", reason="needs the extra [pandas]")
+    rows = replace(some(), columns={"speed": np.zeros(len(some()))})
+    table = rows.to_pandas()
+    assert isinstance(table, pandas.DataFrame)
+    names = [
+        "frame",
+        "particle",
+        "x",
+        "y",
+        "box_x",
+        "box_y",
+        "w",
+        "h",
+        "score",
+        "observed",
+        "speed",
+    ]
+    assert list(table.columns) == names
+    by_hand = table[table.particle == rows.track_id[0]].sort_values("frame")
+    np.testing.assert_array_equal(by_hand.x, rows.x[rows.track_id == rows.track_id[0]])

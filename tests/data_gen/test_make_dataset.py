@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from data_gen.make_dataset import app
 from data_gen.scenes.dataset import Recipe, make_dataset
 from data_gen.scenes.scene_kinds import SCENES
-from droptrack.data.darknet_dataset import read_data_file, read_image, read_truth
+from droptrack.data.darknet_dataset import read_data_file, read_ground_truth, read_image
 from droptrack.errors import DroptrackError
 
 
@@ -42,7 +42,7 @@ def test_labels_read_back_are_the_boxes_that_were_drawn(tmp_path: Path) -> None:
     assert (len(data.train), len(data.valid)) == (4, 1)
     for index, path in enumerate(data.train):
         scene = SCENES["ab"[index % 2]](np.random.default_rng([8, 0, index]))
-        truth = read_truth(path, 1200, 600)
+        truth = read_ground_truth(path, 1200, 600)
         np.testing.assert_allclose(truth.boxes, scene.boxes, atol=0.01)
         grey = read_image(path)[..., 0].astype(float)
         assert np.abs(grey - scene.image).mean() < 1
@@ -118,4 +118,4 @@ def test_a_damaged_label_file_is_named(tmp_path: Path, line: str, problem: str) 
     make(tmp_path, Recipe(scene="a", images=1, valid=1, seed=1))
     (tmp_path / "train" / "000000.txt").write_text(line)
     with pytest.raises(DroptrackError, match=rf"000000\.txt.*{problem}"):
-        read_truth(tmp_path / "train" / "000000.jpg", 1200, 600)
+        read_ground_truth(tmp_path / "train" / "000000.jpg", 1200, 600)

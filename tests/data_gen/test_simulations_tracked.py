@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from data_gen.simulate import app
-from droptrack import track
 from droptrack.data.trajectories import Trajectories, read_trajectories
 from droptrack.evaluation.trajectory_scores import match, score_droplets
+from droptrack.track import app as track
 
 pytest.importorskip("numba")
 RUNNER = CliRunner()
@@ -33,7 +33,7 @@ def simulate(out: Path, *arguments: str) -> tuple[Trajectories, dict[str, NDArra
 def tracked(folder: Path, truth: Trajectories) -> dict[str, float]:
     """How well `droptrack track` as it comes follows the droplets of the video."""
     arguments = [str(folder / "video.avi"), "--out", str(folder / "tracks"), "--no-video"]
-    result = RUNNER.invoke(track.app, arguments)
+    result = RUNNER.invoke(track, arguments)
     assert result.exit_code == 0, result.output
     found, _ = read_trajectories(folder / "tracks" / "trajectories.csv")
     matching = match(truth, found)

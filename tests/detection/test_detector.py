@@ -15,7 +15,15 @@ Float32s = NDArray[np.float32]
 
 def head_of(anchors: list[list[float]], classes: int, stride: int, scale: float) -> YoloHead:
     sizes = np.array(anchors, float)
-    return YoloHead(0, sizes, sizes, tuple(range(len(sizes))), classes, stride, scale)
+    return YoloHead(
+        layer=0,
+        anchors=sizes,
+        all_anchors=sizes,
+        mask=tuple(range(len(sizes))),
+        classes=classes,
+        stride=stride,
+        scale_x_y=scale,
+    )
 
 
 @pytest.mark.usefixtures("implementation")

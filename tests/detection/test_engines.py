@@ -4,6 +4,7 @@ import importlib.util
 import sys
 from collections.abc import Callable
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,8 +20,8 @@ from droptrack.detection.engines.opencv_dnn import has_cuda
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import average_precision
 from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
-from droptrack.network.darknet_cfg import read_cfg, resized
-from droptrack.network.darknet_weights import read_weights
+from droptrack.network.darknet_cfg import parse_cfg, read_cfg, resized
+from droptrack.network.darknet_weights import Weights, read_weights
 
 CFG = read_cfg(find_cfg(BUNDLED_WEIGHTS))
 
@@ -107,7 +108,7 @@ def test_grey_frames_are_their_three_planes(backend: str, precision: str) -> Non
 
 
 @pytest.mark.parametrize(("backend", "precision"), EXACT)
-def test_pictures_started_before_others_are_done_are_not_mixed_up(
+def test_images_started_before_others_are_done_are_not_mixed_up(
     backend: str, precision: str
 ) -> None:
     own = detector(backend, precision)
@@ -165,7 +166,7 @@ def test_a_rounded_engine_loses_at_most_two_thousandths_of_precision(
 
 @cache
 def precision_of(backend: str, precision: str) -> float:
-    """MAP@0.50 on pictures of scenes c and d."""
+    """MAP@0.50 on images of scenes c and d."""
     engine = detector(backend, precision, 0.005)
     scenes = [SCENES["cd"[n % 2]](np.random.default_rng([4, n])) for n in range(16)]
     return average_precision(
@@ -255,3 +256,44 @@ def test_what_cannot_be_had_is_said(backend: str, precision: str, message: str) 
         pytest.skip("there is a GPU")
     with pytest.raises(DroptrackError, match=message):
         detector(backend, precision)
+
+
+SUMS = """
+[net]
+width=32
+height=32
+channels=3
+[convolutional]
+filters=8
+size=3
+stride=1
+pad=1
+activation=linear
+[convolutional]
+filters=6
+size=1
+stride=1
+pad=1
+activation=linear
+[yolo]
+mask=0
+anchors=10,10
+classes=1
+num=1
+"""
+
+
+@needs_openvino
+def test_sums_of_the_largest_bytes_do_not_overflow_in_int8() -> None:
+    """A white image and kernels of ones: 27 in each channel, then 8 times that."""
+    from droptrack.detection.engines.openvino import OpenVinoEngine
+
+    cfg = parse_cfg(SUMS, Path("sums.cfg"))
+    first, second = np.ones((8, 3, 3, 3)), np.ones((6, 8))
+    values = np.concatenate([np.zeros(8), first.ravel(), np.zeros(6), second.ravel()])
+    weights = Weights((0, 2, 5), 0, values.astype(np.float32))
+    engine = OpenVinoEngine(cfg, weights, "int8", 0.5, {0: (0.0, 27.0)})
+    white = np.full((32, 32, 3), 255, np.uint8)
+    for frame in (white, grey_frame(white[..., 0])):
+        (raw,) = engine.start(engine.prepare([frame])).result().outputs
+        np.testing.assert_allclose(raw[0, :, 16, 16], 8 * 27, rtol=0.01)

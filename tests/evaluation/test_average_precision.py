@@ -32,7 +32,7 @@ def test_a_curve_integrated_by_hand() -> None:
 
 
 def test_a_droplet_found_twice_counts_once() -> None:
-    """Hit at 0.9, double at 0.8 (false), hit at 0.7: 1/2 x 1 + 1/2 x 2/3."""
+    """Hit at 0.9, duplicate at 0.8 (false), hit at 0.7: 1/2 x 1 + 1/2 x 2/3."""
     pairs = [(found([A, A, B], [0.9, 0.8, 0.7]), labels([A, B]))]
     assert average_precision(pairs).average_precision == pytest.approx(5 / 6)
 
@@ -43,22 +43,22 @@ def test_scores_are_ranked_over_all_images() -> None:
     assert average_precision(pairs).average_precision == pytest.approx(0.25)
 
 
-def test_overlap_must_exceed_one_half() -> None:
-    """Shifted by a third of the width, the overlap is exactly 1/2."""
+def test_iou_must_exceed_one_half() -> None:
+    """Shifted by a third of the width, the IoU is exactly 1/2."""
     shifted = [10 + 8 / 3, 10.0, 8, 8]
     pairs = [(found([shifted], [0.9]), labels([A]))]
     assert average_precision(pairs, min_iou=0.5 + 1e-9).average_precision == 0
     assert average_precision(pairs, min_iou=0.5 - 1e-9).average_precision == 1
 
 
-def test_without_truth_precision_is_undefined() -> None:
+def test_without_ground_truth_precision_is_undefined() -> None:
     assert np.isnan(average_precision([(found([A], [0.9]), labels([]))]).average_precision)
 
 
-def test_f1_and_overlap_counted_by_hand() -> None:
-    """Above 0.5: one exact hit, one shifted by a third (overlap 1/2), one false; one is missed.
+def test_f1_and_iou_counted_by_hand() -> None:
+    """Above 0.5: one exact hit, one shifted by a third (IoU 1/2), one false; one is missed.
 
-    Precision 2/3, recall 2/3, F1 2/3; overlaps 1, 1/2 and 0.
+    Precision 2/3, recall 2/3, F1 2/3; IoUs 1, 1/2 and 0.
     """
     shifted = [40 + 8 / 3 - 1e-6, 10.0, 8, 8]
     pairs = [(found([A, shifted, NOWHERE, C], [0.9, 0.8, 0.7, 0.4]), labels([A, B, C]))]
@@ -77,9 +77,9 @@ def test_each_class_is_scored_by_itself() -> None:
 
 
 def test_cocos_precision_counted_by_hand() -> None:
-    """A false one first, then four of five, overlapping by 7.5/8.5 = 0.88.
+    """A false one first, then four of five, with an IoU of 7.5/8.5 = 0.88.
 
-    The best precision is 4/5 up to a recall of 4/5, at 81 of 101 recalls, and the overlap suffices
+    The best precision is 4/5 up to a recall of 4/5, at 81 of 101 recalls, and the IoU suffices
     for eight of the ten thresholds 0.5, 0.55 ... 0.95.
     """
     truth = [[10.0 * i, 10, 8, 8] for i in range(5)]

@@ -110,7 +110,7 @@ def test_a_core_in_its_shell_is_not_confused_with_the_white_outside() -> None:
 
 
 def test_uneven_light_shifts_the_centre_only_with_the_droplet_itself() -> None:
-    """The background falls from 80 to 20 grey levels over the picture."""
+    """The background falls from 80 to 20 grey levels over the image."""
     disc = np.array([[60.4, 59.7, 20.0, 20.0, 0.0]])
     canvas = np.zeros((120, 120), np.uint8)
     draw_ellipses(canvas, disc, WHITE)

@@ -94,14 +94,14 @@ def test_weights_are_laid_out_byte_by_byte_as_darknet_does(small: Path, tmp_path
     assert data[:20] == struct.pack("<iiiQ", 0, 2, 5, 6400)
     assert data[20:] == struct.pack("<214f", *range(214))
     read = read_weights(path, cfg)
-    assert (read.version, read.seen) == ((0, 2, 5), 6400)
+    assert (read.version, read.images_seen) == ((0, 2, 5), 6400)
     assert (read.values == values).all()
 
 
 def test_old_weights_count_images_with_32_bits(small: Path, tmp_path: Path) -> None:
     path = tmp_path / "old.weights"
     path.write_bytes(struct.pack("<iiiI", 0, 1, 0, 77) + np.ones(214, "<f4").tobytes())
-    assert read_weights(path, read_cfg(small)).seen == 77
+    assert read_weights(path, read_cfg(small)).images_seen == 77
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_weights_with_an_odd_byte_or_nan_or_nothing_are_refused(
     small: Path, tmp_path: Path
 ) -> None:
     cfg, path = read_cfg(small), tmp_path / "bad.weights"
-    with pytest.raises(DroptrackError, match="no such weights file"):
+    with pytest.raises(DroptrackError, match="no such file"):
         read_weights(path, cfg)
     path.write_bytes(b"")
     with pytest.raises(DroptrackError, match="0 bytes are too few"):

@@ -169,7 +169,7 @@ def test_raw_maps_decode_to_what_is_decoded_in_the_graph(name: str) -> None:
         np.testing.assert_allclose(np.concatenate(rows), decoded[image], rtol=1e-5, atol=1e-6)
 
 
-def test_any_batch_gives_what_single_pictures_give() -> None:
+def test_any_batch_gives_what_single_images_give() -> None:
     cfg = CFGS["like yolov4-tiny"]
     rng = np.random.default_rng(3)
     model = onnx_model(cfg, random_weights(cfg, rng))
@@ -180,7 +180,7 @@ def test_any_batch_gives_what_single_pictures_give() -> None:
             np.testing.assert_allclose(together[image], alone[0], atol=1e-5)
 
 
-def test_a_grey_picture_of_bytes_gives_what_its_three_channels_give() -> None:
+def test_a_grey_image_of_bytes_gives_what_its_three_channels_give() -> None:
     cfg = CFGS["like yolov4-tiny"]
     rng = np.random.default_rng(4)
     weights = random_weights(cfg, rng)
@@ -224,7 +224,7 @@ def test_what_is_not_supported_is_named_with_its_line(section: str, message: str
         export()
 
 
-def test_the_command_exports_the_network_that_ships(tmp_path: Path) -> None:
+def test_the_command_exports_the_bundled_model(tmp_path: Path) -> None:
     out = tmp_path / "droplets.onnx"
     arguments = ["export", "--out", str(out), "--size", "96x64", "--decode"]
     result = CliRunner().invoke(app, arguments)

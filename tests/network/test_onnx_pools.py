@@ -8,17 +8,17 @@ pytest.importorskip("onnx")
 
 from bench.random_network import random_weights
 from droptrack.data.frames import Frame, grey_frame
-from droptrack.detection.engines.openvino import OpenVinoEngine, core, output_ranges
+from droptrack.detection.engines.openvino import OpenVinoEngine, core, kernel_max, output_ranges
 from droptrack.network.bundled import BUNDLED
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg, resized
 from droptrack.network.onnx_export import onnx_model
 from droptrack.network.onnx_pools import pooled_layers
-from droptrack.network.quantisation import joined, quantised_layers
+from droptrack.network.quantisation import Quantisation, merge_ranges, quantised_layers
 
 TINY = resized(read_cfg(BUNDLED / "yolov3-tiny.cfg"), 160, 96)
 
 
-def pictures(colour: bool) -> list[Frame]:
+def images(colour: bool) -> list[Frame]:
     rng = np.random.default_rng(4)
     if colour:
         return list(rng.integers(0, 256, (2, 96, 160, 3)).astype(np.uint8))
@@ -44,9 +44,10 @@ def test_layers_that_others_read_keep_their_pool() -> None:
 @pytest.mark.parametrize("colour", [False, True])
 def test_the_maps_are_the_same_to_the_last_bit(colour: bool) -> None:
     weights = random_weights(TINY, np.random.default_rng(3))
-    frames = pictures(colour)
-    ranges = joined(TINY, output_ranges(TINY, weights, quantised_layers(TINY), frames))
-    model = onnx_model(TINY, weights, pixels=True, grey=not colour, ranges=ranges)
+    frames = images(colour)
+    ranges = merge_ranges(TINY, output_ranges(TINY, weights, quantised_layers(TINY), frames))
+    quantisation = Quantisation(ranges, kernel_max())
+    model = onnx_model(TINY, weights, pixels=True, grey=not colour, quantisation=quantisation)
     ordinary = core().compile_model(
         core().read_model(model.SerializeToString()), "CPU", {"INFERENCE_PRECISION_HINT": "f32"}
     )

@@ -1,4 +1,4 @@
-"""Channels that others can stand in for are left out, and what reads them computes the same."""
+"""Channels that follow from others are pruned, and what reads them computes the same."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,12 +16,13 @@ from droptrack.network.pruning import (
     STEP,
     Moments,
     Pruning,
-    choose,
+    choose_pruning,
     fit,
     prunable_layers,
     pruned,
     readers,
 )
+from droptrack.training.calibration import measure_moments
 
 needs_openvino = pytest.mark.skipif(find_spec("openvino") is None, reason="needs openvino")
 
@@ -56,16 +57,12 @@ layers=-1,2
 
 
 def chosen(cfg: Cfg, weights: Weights, frames: list[Frame], error: float) -> Pruning:
-    """What `choose` leaves of a network, by what it computes of frames."""
-    from droptrack.detection.engines.openvino import layer_outputs
-    from droptrack.network.onnx_export import folded_convolutions
+    """The pruning that is chosen by what the network computes of frames."""
+    from droptrack.network.onnx_layers import folded_convolutions
 
     kernels = {i: kernel for i, (kernel, _) in folded_convolutions(cfg, weights).items()}
-    moments = {i: Moments(centred=kernels[i].shape[2] == 1) for i in readers(cfg)}
-    for outputs in layer_outputs(cfg, weights, [i - 1 for i in moments], frames):
-        for reader, moment in moments.items():
-            moment.add(outputs[reader - 1])
-    return choose(cfg, kernels, moments, error)
+    moments = measure_moments(cfg, weights, kernels, frames)
+    return choose_pruning(cfg, kernels, moments, error)
 
 
 def some_frames(n: int) -> list[Frame]:
@@ -122,7 +119,7 @@ def test_channels_that_nobody_reads_go_first() -> None:
 
 
 @needs_openvino
-def test_twins_are_left_out_and_the_maps_stay() -> None:
+def test_twins_are_pruned_and_the_maps_stay() -> None:
     """Half of the channels of all layers are copies: OpenCV finds the same maps without them."""
     cfg = parse_cfg(TWO_HEADS, Path("two.cfg"))
     weights = random_weights(cfg, np.random.default_rng(2))
@@ -134,7 +131,7 @@ def test_twins_are_left_out_and_the_maps_stay() -> None:
     assert {layer: len(rows) for layer, rows in pruning.kept.items()} == dict.fromkeys(
         (0, 2, 4, 8, 11), STEP
     )
-    assert sorted(pruning.stand_ins) == [2, 4, 5, 8, 11, 12]
+    assert sorted(pruning.reconstructions) == [2, 4, 5, 8, 11, 12]
     maps = []
     for network, own in ((cfg, weights), pruned(cfg, weights, pruning)):
         engine = OpenCvEngine(network, own, "opencv", "fp32", 0.0)
@@ -144,7 +141,7 @@ def test_twins_are_left_out_and_the_maps_stay() -> None:
 
 
 @needs_openvino
-def test_nothing_is_left_out_of_a_network_by_chance() -> None:
+def test_nothing_is_pruned_from_a_random_network() -> None:
     cfg = parse_cfg(TWO_HEADS, Path("two.cfg"))
     weights = random_weights(cfg, np.random.default_rng(3))
     assert chosen(cfg, weights, some_frames(3), 1e-9).kept == {}

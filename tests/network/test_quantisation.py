@@ -16,11 +16,12 @@ from droptrack.errors import DroptrackError
 from droptrack.network import quantisation
 from droptrack.network.bundled import BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg, resized
-from droptrack.network.pruning import NOTHING
+from droptrack.network.pruning import NO_PRUNING
 from droptrack.network.quantisation import (
     Calibration,
+    Quantisation,
     find_calibration,
-    joined,
+    merge_ranges,
     quantised_layers,
     sha256_of,
     write_calibration,
@@ -67,17 +68,17 @@ num=3
 """
 
 
-def test_layers_that_a_route_joins_share_one_range() -> None:
+def test_layers_that_a_route_concatenates_share_one_range() -> None:
     cfg = parse_cfg(BRANCHES, Path("branches.cfg"))
     assert quantised_layers(cfg) == [0, 2]
-    assert joined(cfg, {0: (-1.0, 2.0), 2: (-0.5, 7.0)}) == {0: (-1.0, 7.0), 2: (-1.0, 7.0)}
+    assert merge_ranges(cfg, {0: (-1.0, 2.0), 2: (-0.5, 7.0)}) == {0: (-1.0, 7.0), 2: (-1.0, 7.0)}
 
 
 @needs_openvino
 def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> None:
     """Against ONNX Runtime: the extremes of a layer, and the quantised network's maps."""
     runtime = pytest.importorskip("onnxruntime", reason="needs the extra [dev]")
-    from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
+    from droptrack.detection.engines.openvino import OpenVinoEngine, kernel_max, output_ranges
     from droptrack.network.onnx_export import onnx_model
 
     cfg = parse_cfg(BRANCHES, Path("branches.cfg"))
@@ -91,10 +92,11 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
     exact_map, first, second = session.run(None, {"images": image})
     assert ranges[0] == pytest.approx((first.min(), first.max()), abs=1e-5)
     assert ranges[2] == pytest.approx((second.min(), second.max()), abs=1e-5)
-    quantised = onnx_model(cfg, weights, ranges=joined(cfg, ranges))
+    quantisation = Quantisation(merge_ranges(cfg, ranges), kernel_max())
+    quantised = onnx_model(cfg, weights, quantisation=quantisation)
     session = runtime.InferenceSession(quantised.SerializeToString())
     (theirs,) = session.run(None, {"images": image})
-    engine = OpenVinoEngine(cfg, weights, "int8", 0.25, joined(cfg, ranges))
+    engine = OpenVinoEngine(cfg, weights, "int8", 0.25, merge_ranges(cfg, ranges))
     (ours,) = engine.start(engine.prepare([frame])).result().outputs
     spread = float(np.ptp(exact_map))
     assert 0 < np.abs(ours - exact_map).max() < 0.03 * spread
@@ -103,7 +105,17 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
 
 def calibration(weights: Path, fallen: tuple[float, float] = (0.989, 0.892)) -> Calibration:
     ranges = dict.fromkeys(quantised_layers(CFG), (-1.0, 10.0))
-    return Calibration(sha256_of(weights), 960, 480, ranges, 8, 9, (0.99, 0.9), fallen, NOTHING)
+    return Calibration(
+        weights_sha256=sha256_of(weights),
+        width=960,
+        height=480,
+        ranges=ranges,
+        n_calibrated=8,
+        n_checked=9,
+        map_fp32=(0.99, 0.9),
+        map_int8=fallen,
+        pruning=NO_PRUNING,
+    )
 
 
 def test_a_calibration_is_kept_beside_the_weights_and_holds_for_them_only(tmp_path: Path) -> None:
@@ -128,7 +140,7 @@ def test_a_calibration_goes_to_the_cache_where_the_weights_cannot_have_it(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     weights = tmp_path / "mine.weights"
     weights.write_bytes(b"one")
-    (tmp_path / "mine-int8-960x480.npz.partial").mkdir()  # so that it cannot be written
+    (tmp_path / "mine-int8-960x480.partial.npz").mkdir()  # so that it cannot be written
     kept = calibration(weights)
     path = write_calibration(weights, CFG, kept)
     assert path.parent == tmp_path / "cache" / "droptrack"
@@ -166,6 +178,6 @@ def test_the_command_calibrates_on_a_data_set(tmp_path: Path, error: str, pruned
     assert kept.map_fp32[0] > 0.9
     assert kept.losses[0] <= quantisation.MAX_LOSS
     assert kept.pruning.kept.keys() >= ({8, 10, 12, 14, 21} if pruned else set())
-    assert bool(kept.pruning.stand_ins) == pruned
+    assert bool(kept.pruning.reconstructions) == pruned
     engine = choose_detector(Network(cfg, weights, 0.25, 0.45), precision=Precision.int8).engine
     assert engine.name == "openvino int8" + pruned * ", pruned"

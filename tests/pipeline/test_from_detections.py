@@ -147,7 +147,7 @@ def test_too_few_columns_and_missing_files_are_named(tmp_path: Path) -> None:
 
 
 def moving(n_frames: int) -> list[list[list[float]]]:
-    """Two droplets, one partly and at last wholly beyond the picture's left edge."""
+    """Two droplets, one partly and at last wholly beyond the image's left edge."""
     return [
         [[30.0 + 2 * t, 40, 20, 20], [20.0 - 3 * t, 80 + 0.5 * t, 18, 22]] for t in range(n_frames)
     ]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from droptrack.data.trajectories import Trajectories, sorted_trajectories
-from droptrack.pipeline.paths import MOST_POINTS, Paths
+from droptrack.pipeline.paths import MAX_POINTS, Paths
 
 
 def rows(points: list[tuple[int, int, float, float, bool]]) -> Trajectories:
@@ -50,6 +50,6 @@ def test_long_lines_are_thinned_more_and_keep_their_shape() -> None:
     for part in np.array_split(t, 10):
         paths.add(rows([(k, 1, x[k], y[k], True) for k in part.tolist()]))
     (line,) = paths.lines().values()
-    assert MOST_POINTS / 4 < len(line) <= MOST_POINTS + 1
+    assert MAX_POINTS / 4 < len(line) <= MAX_POINTS + 1
     assert (line[0].tolist(), line[-1].tolist()) == ([0, 0], [x[-1], np.float32(y[-1])])
     np.testing.assert_allclose(line[:, 1], 1e-4 * line[:, 0].astype(float) ** 2, rtol=1e-5)

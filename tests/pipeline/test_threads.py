@@ -18,7 +18,8 @@ from droptrack.data.video import Video, VideoInfo, VideoWriter
 from droptrack.detection.detector import Detector
 from droptrack.detection.engines.in_thread import InThread
 from droptrack.errors import DroptrackError
-from droptrack.pipeline.run import FURTHER_COLUMNS, Results, follow
+from droptrack.pipeline.loop import track_frames
+from droptrack.pipeline.results import FURTHER_COLUMNS, Results
 from droptrack.pipeline.threads import READ_AHEAD, AnnotatedVideo, FrameReader, side_by_side
 from droptrack.tracking.appearance import describe
 from droptrack.tracking.deepsort import Parameters, Tracker
@@ -35,7 +36,7 @@ def frames(n: int, made: list[int], pause: float = 0.0) -> Iterator[tuple[int, F
 class GreyLevelEngine(InThread):
     """Sees one droplet, at as many tenths of a pixel from the middle as the frame is bright.
 
-    Frames take times by chance, or as long as `seconds` says.
+    Frames take times at random, or as long as `seconds` says.
     """
 
     name = "test"
@@ -64,7 +65,7 @@ def track(
     tracker = Tracker(Parameters())
     with TrajectoryWriter(path, {}, FURTHER_COLUMNS) as rows:
         results = Results(rows)
-        for _ in follow(source, detector, tracker, describe, results, **options):  # type: ignore[arg-type]
+        for _ in track_frames(source, detector, tracker, describe, results, **options):  # type: ignore[arg-type]
             pass
     return read_trajectories(path)[0], results
 

@@ -1,4 +1,4 @@
-"""From videos to trajectories with the network that ships, and what happens when that fails."""
+"""From videos to trajectories with the bundled model, and what happens when that fails."""
 
 import json
 import shutil
@@ -20,12 +20,12 @@ from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
 from droptrack.detection.engines.opencv_dnn import has_cuda
 from droptrack.errors import DroptrackError
-from droptrack.evaluate import evaluate
 from droptrack.evaluation.average_precision import average_precision
+from droptrack.evaluation.trajectories import evaluate
 from droptrack.measurement.centre_of_mass import centres_of_mass
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
-from droptrack.pipeline import run as pipeline
+from droptrack.pipeline import loop as pipeline
 
 runner = CliRunner()
 
@@ -80,8 +80,8 @@ def test_cores_in_a_sheared_shell_are_all_followed(sheared_shell: Path, tmp_path
 
 
 @pytest.mark.parametrize(("scene", "floor"), [("a", 0.995), ("b", 0.995), ("c", 0.99)])
-def test_precision_on_fresh_pictures(scene: str, floor: float) -> None:
-    """MAP@0.50 by Darknet's definition on 40 pictures that the network has not seen."""
+def test_precision_on_fresh_images(scene: str, floor: float) -> None:
+    """MAP@0.50 by Darknet's definition on 40 images that the network has not seen."""
     detector = shipped(0.005)
     pairs = []
     for number in range(40):
@@ -127,7 +127,7 @@ def test_an_image_folder_is_a_video(sine: Path, tmp_path: Path) -> None:
     assert "1200 x 600 px" in about["video"]
 
 
-def test_a_single_picture_has_its_droplets(tmp_path: Path) -> None:
+def test_a_single_image_has_its_droplets(tmp_path: Path) -> None:
     folder = tmp_path / "one"
     folder.mkdir()
     scene = SCENES["a"](np.random.default_rng([7, 0]))
@@ -182,7 +182,7 @@ def test_what_the_user_can_mend_is_said_in_one_line(sine: Path, tmp_path: Path) 
     cut = tmp_path / "yolov3-tiny.weights"
     cut.write_bytes(BUNDLED_WEIGHTS.read_bytes()[:1000])
     assert "ends after 245 of" in fails("track", video, "--weights", str(cut), "--out", out)
-    assert "no such weights" in fails("track", video, "--weights", "yolov3.weights", "--out", out)
+    assert "no such file" in fails("track", video, "--weights", "yolov3.weights", "--out", out)
     full = str(BUNDLED / "yolov3.cfg")
     assert "does not fit" in fails("track", video, "--cfg", full, "--out", out)
     assert "no such video" in fails("track", str(tmp_path / "none.avi"), "--out", out)

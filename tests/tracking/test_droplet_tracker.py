@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from droptrack.data.detections import Detections
-from droptrack.evaluate import evaluate
+from droptrack.evaluation.trajectories import evaluate
 from droptrack.evaluation.trajectory_scores import assign
 from droptrack.tracking.association import assign_sparse, take_in_turn
 from droptrack.tracking.droplet_noise import median

@@ -1,6 +1,6 @@
 """Replays a recorded console of Darknet, and writes weights where the record says so.
 
-FAKE_DARKNET: record, template of the weights, pictures an iteration, and what is to go wrong.
+FAKE_DARKNET: record, template of the weights, images an iteration, and what is to go wrong.
 """
 
 import os

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from droptrack.anchors import app, box_sizes, find_anchors, mean_best_overlap, shape_overlaps
+from droptrack.anchors import app
 from droptrack.data.darknet_dataset import read_data_file, write_data_file
 from droptrack.network.darknet_cfg import read_cfg, yolo_heads
+from droptrack.training.anchors import box_sizes, find_anchors, mean_best_iou, shape_iou
 
 MINI = Path(__file__).parents[1] / "reference" / "mini.cfg"
 
 
-def test_overlaps_counted_by_hand() -> None:
+def test_ious_counted_by_hand() -> None:
     """4 x 2 within 4 x 4: 8/16; 2 x 8 and 4 x 4 share 2 x 4: 8 / (16 + 16 - 8)."""
     sizes = np.array([[4.0, 2], [2, 8], [4, 4]])
-    assert shape_overlaps(sizes, np.array([[4.0, 4]]))[:, 0] == pytest.approx([1 / 2, 1 / 3, 1])
-    assert mean_best_overlap(sizes, sizes) == 1
+    assert shape_iou(sizes, np.array([[4.0, 4]]))[:, 0] == pytest.approx([1 / 2, 1 / 3, 1])
+    assert mean_best_iou(sizes, sizes) == 1
 
 
 def test_clusters_are_found_again() -> None:
@@ -27,9 +28,9 @@ def test_clusters_are_found_again() -> None:
     sizes = (centres[:, None] * spread).reshape(-1, 2)
     found = find_anchors(sizes, 4, rng)
     assert np.diff(found.prod(axis=1)).min() >= -25  # 20 x 40 and 40 x 20 are equally large
-    overlaps = shape_overlaps(centres, found)
-    assert (overlaps.max(axis=1) > 0.98).all()
-    assert sorted(overlaps.argmax(axis=1)) == [0, 1, 2, 3]
+    ious = shape_iou(centres, found)
+    assert (ious.max(axis=1) > 0.98).all()
+    assert sorted(ious.argmax(axis=1)) == [0, 1, 2, 3]
     with pytest.raises(ValueError, match="as many different"):
         find_anchors(np.ones((5, 2)), 2, rng)
 
@@ -46,7 +47,7 @@ def test_the_command_writes_them_into_a_copy(tmp_path: Path) -> None:
     arguments = ["--data", str(data), "--cfg", str(MINI)]
     result = CliRunner().invoke(app, [*arguments, "--write", str(copy), "--figure", str(figure)])
     assert result.exit_code == 0, result.output
-    assert "found: mean overlap 1.0000" in result.output
+    assert "found: mean IoU 1.0000" in result.output
     (head,) = yolo_heads(read_cfg(copy))
     np.testing.assert_allclose(head.all_anchors, [[8, 9.6], [16, 19.2], [40, 28.8]])
     assert figure.stat().st_size > 5000

@@ -149,7 +149,8 @@ def test_a_training_is_driven_to_its_end(
     assert f"best mAP@0.50 {max(MEAN_APS[fork].values()):.4f}" in output
     (entry,) = json.loads((out / "run.json").read_text())
     assert {"alexeyab": "AlexeyAB", "hank_ai": "v5.1-104"}[fork] in entry["trainer"]
-    assert read_weights(out / "mini_final.weights", read_cfg(out / "mini.cfg")).seen == 310 * 8
+    final = read_weights(out / "mini_final.weights", read_cfg(out / "mini.cfg"))
+    assert final.images_seen == 310 * 8
     assert len((out / "train.txt").read_text().splitlines()) == 16
     assert (out / "training.png").stat().st_size > 10_000
     assert b"Detection layer" in (out / "darknet.log").read_bytes()
@@ -162,11 +163,11 @@ def test_a_darknet_that_dies_is_resumed_from_its_last_snapshot(
 ) -> None:
     out = tmp_path / "run"
     darknet.will(fork, "killed")
-    assert "is not there to go on with" in train(darknet, data, out, "--resume")[1]
+    assert "run: does not exist; start without --resume" in train(darknet, data, out, "--resume")[1]
     code, output = train(darknet, data, out)
     assert code == 1
     assert "ended with code 1 after iteration 201 of 310; its last words: 'CUDA Error" in output
-    assert "--resume goes on from iteration 200" in output
+    assert "--resume resumes from iteration 200" in output
     darknet.will(fork)
     assert train(darknet, data, out, "--resume")[0] == 0
     steps = read_log(out / "training.csv")
@@ -183,8 +184,8 @@ def test_a_torn_snapshot_is_not_resumed_from(
     darknet.will("hank_ai", "torn")
     code, output = train(darknet, data, tmp_path / "run")
     assert code == 1
-    assert "no snapshot is there to go on from" in output
-    assert "has no whole snapshot" in train(darknet, data, tmp_path / "run", "--resume")[1]
+    assert "there is no snapshot to resume from" in output
+    assert "has no complete snapshot" in train(darknet, data, tmp_path / "run", "--resume")[1]
     assert furthest_weights(tmp_path / "run", read_cfg(CFG)) is None
 
 
@@ -213,25 +214,25 @@ def test_death_after_the_end_is_none(darknet: FakeDarknet, data: Path, tmp_path:
     assert train(darknet, data, tmp_path / "run")[0] == 0
 
 
-def test_a_loss_that_is_no_number_stops_darknet_and_is_placed(
+def test_a_loss_that_diverges_stops_darknet_and_is_placed(
     darknet: FakeDarknet, data: Path, tmp_path: Path
 ) -> None:
     darknet.will("alexeyab_nan", "slow")
     code, output = train(darknet, data, tmp_path / "run")
     assert code == 1
-    assert "no number any more at iteration 25, at a rate of 0.003" in output
+    assert "NaN or infinite at iteration 25, at a rate of 0.003" in output
     assert read_log(tmp_path / "run" / "training.csv")[-1].iteration == 25
 
 
-def test_a_darknet_that_says_nothing_is_stopped(
+def test_a_darknet_that_prints_nothing_is_stopped(
     darknet: FakeDarknet, data: Path, tmp_path: Path
 ) -> None:
     darknet.will("alexeyab", "hang")
     began = time.monotonic()
     code, output = train(darknet, data, tmp_path / "run", "--hang-minutes", "0.02")
     assert code == 1
-    assert "has said nothing for 1 s" in output
-    assert "--resume goes on from iteration 200" in output
+    assert "has printed nothing for 1 s" in output
+    assert "--resume resumes from iteration 200" in output
     assert time.monotonic() - began < 30
 
 
@@ -271,7 +272,7 @@ def test_ctrl_c_stops_darknet_and_leaves_a_run_to_resume(
         process.send_signal(number)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 1
-    assert "stopped; --resume goes on from iteration 200" in errors
+    assert "interrupted; --resume resumes from iteration 200" in errors
     with pytest.raises(ProcessLookupError):
         os.kill(int((out / "pid").read_text()), 0)
     darknet.will("alexeyab")
@@ -309,10 +310,26 @@ def test_the_binary_is_the_one_given_then_that_of_the_environment_then_of_the_pa
         identify(other)
 
 
+def step_of(n: int, mean_ap: float) -> Step:
+    return Step(
+        iteration=n,
+        loss=n,
+        average_loss=n,
+        regression=0,
+        objectness=0,
+        classes=0,
+        rewritten=0,
+        learning_rate=0.1,
+        seconds=0.1,
+        images=n,
+        mean_ap=mean_ap,
+    )
+
+
 def test_the_log_of_a_run_that_goes_back_is_cut(tmp_path: Path) -> None:
     with TrainingLog(tmp_path, 0) as log:
         for n in range(1, 6):
-            log.append(Step(n, n, n, 0, 0, 0, 0, 0.1, 0.1, n, 0.1 * n if n in (2, 4) else math.nan))
+            log.append(step_of(n, mean_ap=0.1 * n if n in (2, 4) else math.nan))
         log.set_mean_ap(5, 0.3)
         assert log.is_stale(1)
         assert not log.is_stale(2)

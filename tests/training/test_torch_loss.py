@@ -10,8 +10,7 @@ torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
 from droptrack.data.detections import iou_matrix
 from droptrack.network.darknet_cfg import Cfg, read_cfg, with_options, yolo_heads
-from droptrack.training.pytorch.loss import yolo_loss
-from droptrack.training.pytorch.training import darknet_loss
+from droptrack.training.pytorch.loss import darknet_loss, yolo_loss
 
 SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 
@@ -19,7 +18,7 @@ SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 def darknet_deltas(
     cfg: Cfg, raw: NDArray[np.float64], truths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """What Darknet adds to its layer's delta: one loop a prediction and one a truth, one image.
+    """What Darknet adds to its layer's delta of one image: loops over predictions and truths.
 
     raw: logits (A, 5 + C, rows, columns); truths (T, 5): class, box relative to the image.
     """
@@ -49,12 +48,12 @@ def darknet_deltas(
                     np.exp(raw[a, 2, j, i]) * head.anchors[a, 0] / width,
                     np.exp(raw[a, 3, j, i]) * head.anchors[a, 1] / height,
                 ]
-                overlaps = iou_matrix(np.array([box]), truths[:, 1:])[0]
+                ious = iou_matrix(np.array([box]), truths[:, 1:])[0]
                 delta[a, 4, j, i] = -sigmoid[a, 4, j, i]
-                if overlaps.max() > 0.5 and sigmoid[a, 5, j, i] > 0.25:
+                if ious.max() > 0.5 and sigmoid[a, 5, j, i] > 0.25:
                     delta[a, 4, j, i] = 0
-                if overlaps.max() > truth_thresh:
-                    answer(a, j, i, truths[overlaps.argmax()])
+                if ious.max() > truth_thresh:
+                    answer(a, j, i, truths[ious.argmax()])
     for truth in truths:
         shapes = np.hstack(
             [np.zeros((len(head.all_anchors), 2)), head.all_anchors / [width, height]]
@@ -76,7 +75,7 @@ def test_gradient_of_the_loss_is_what_darknet_writes_down(truth_thresh: str) -> 
         ),
         np.array([[0, 0.11, 0.92, 0.06, 0.1]]),
     ]
-    for image in range(2):  # some predictions right on a truth, so that they are ignored
+    for image in range(2):  # some predictions right on a ground truth, so that they are ignored
         raw[image, 1, 2:4, 4:6, 3:6] = 0.1
     batch = np.concatenate([np.column_stack([np.full(len(t), i), t]) for i, t in enumerate(truths)])
     maps = torch.tensor(raw, dtype=torch.float64, requires_grad=True)
@@ -87,7 +86,7 @@ def test_gradient_of_the_loss_is_what_darknet_writes_down(truth_thresh: str) -> 
     assert answering == 2 if truth_thresh == "1" else answering > 2
     assert (expected[:, :, 4] == 0).any() or truth_thresh != "1"
     np.testing.assert_allclose(-2 * maps.grad.numpy(), expected, atol=2e-5)  # a mean over 2 images
-    # the first two truths share a cell and anchor
+    # the first two ground truths share a cell and anchor
     assert loss.n_rewritten == 1 or truth_thresh != "1"
     assert float(darknet_loss([maps])) == pytest.approx((expected**2).sum() / 2, rel=1e-5)
 

@@ -1,4 +1,4 @@
-"""The PyTorch trainer and its pictures, against each other and against hand counts."""
+"""The PyTorch trainer and its images, against each other and against hand counts."""
 
 import gc
 import os
@@ -18,16 +18,22 @@ from numpy.typing import NDArray
 
 torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
+from bench.random_network import random_weights
 from data_gen.scenes.dataset import Recipe, image_source, make_dataset
-from droptrack.data.darknet_dataset import DataSet, read_data_file
+from droptrack.data.darknet_dataset import DataSet, read_data_file, read_image
 from droptrack.errors import DroptrackError
+from droptrack.evaluation.network_scores import darknet_detector
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg
-from droptrack.network.darknet_weights import read_weights
+from droptrack.network.darknet_weights import read_weights, write_weights
+from droptrack.network.torch_network import DarknetNetwork, load_values
 from droptrack.training.log import read_log
 from droptrack.training.pytorch import training as torch_train
 from droptrack.training.pytorch.devices import choose_devices
-from droptrack.training.pytorch.pictures import Augmentation, Batches, augment
-from droptrack.training.pytorch.training import Job, Settings, learning_rate, train
+from droptrack.training.pytorch.images import Augmentation, Batches, augment
+from droptrack.training.pytorch.optimisation import gradient_step, learning_rate
+from droptrack.training.pytorch.settings import Job, TorchSettings
+from droptrack.training.pytorch.training import train
+from droptrack.training.pytorch.validation import validation_detect
 
 SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 
@@ -40,7 +46,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
     return read_data_file(folder / "obj.data")
 
 
-def settings(**changes: object) -> Settings:
+def settings(**changes: object) -> TorchSettings:
     options: dict[str, object] = {
         "iterations": 30,
         "batch": 4,
@@ -58,34 +64,38 @@ def settings(**changes: object) -> Settings:
         "devices": ("cpu",),
         "bf16": True,
     }
-    return Settings(**{**options, **changes})  # type: ignore[arg-type]
+    return TorchSettings(**{**options, **changes})  # type: ignore[arg-type]
+
+
+def job(data: DataSet, out: Path, how: TorchSettings | None = None, **more: Any) -> Job:
+    return Job(cfg=read_cfg(SMALL), data=data, out=out, settings=how or settings(), **more)
 
 
 def test_training_lowers_the_loss_and_leaves_weights_that_load(
     data: DataSet, tmp_path: Path
 ) -> None:
     cfg = read_cfg(SMALL)
-    steps = list(train(Job(cfg, data, tmp_path, settings(iterations=60))))
+    steps = list(train(job(data, tmp_path, settings(iterations=60))))
     losses = [step.loss for step in steps]
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
-    assert read_weights(tmp_path / "small-yolov3_final.weights", cfg).seen == 60 * 4
+    assert read_weights(tmp_path / "small-yolov3_final.weights", cfg).images_seen == 60 * 4
     rows = (tmp_path / "training.csv").read_text().splitlines()
     assert len(rows) == 61
     assert rows[1].startswith("1,")
 
 
-def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
+def test_an_interrupted_training_resumes_as_if_it_had_not_been(
     data: DataSet, tmp_path: Path
 ) -> None:
     (tmp_path / "whole").mkdir()
     (tmp_path / "cut").mkdir()
     cfg = read_cfg(SMALL)
-    whole = list(train(Job(cfg, data, tmp_path / "whole", settings())))
-    training = train(Job(cfg, data, tmp_path / "cut", settings()))
+    whole = list(train(job(data, tmp_path / "whole")))
+    training = train(job(data, tmp_path / "cut"))
     for _ in range(12):
         next(training)
     training.close()  # as Ctrl-C does
-    rest = list(train(Job(cfg, data, tmp_path / "cut", settings(), resume=True)))
+    rest = list(train(job(data, tmp_path / "cut", resume=True)))
     assert [step.iteration for step in rest] == list(range(13, 31))
     np.testing.assert_allclose([s.loss for s in rest], [s.loss for s in whole[12:]], rtol=1e-3)
     end, other = (
@@ -94,26 +104,25 @@ def test_an_interrupted_training_goes_on_as_if_it_had_not_been(
     np.testing.assert_allclose(end.values, other.values, rtol=1e-2, atol=1e-3)
 
 
-def test_an_iteration_that_was_broken_off_is_done_again(
+def test_an_iteration_that_was_interrupted_is_done_again(
     data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A signal comes in the middle of the fifth iteration."""
-    cfg = read_cfg(SMALL)
-    step, calls = torch_train._step, count(1)
+    calls = count(1)
 
     def interrupted(*arguments: Any) -> Any:
         if next(calls) == 5:
             raise KeyboardInterrupt
-        return step(*arguments)
+        return gradient_step(*arguments)
 
-    monkeypatch.setattr(torch_train, "_step", interrupted)
+    monkeypatch.setattr(torch_train, "gradient_step", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        list(train(Job(cfg, data, tmp_path, settings(iterations=8))))
-    list(train(Job(cfg, data, tmp_path, settings(iterations=8), resume=True)))
+        list(train(job(data, tmp_path, settings(iterations=8))))
+    list(train(job(data, tmp_path, settings(iterations=8), resume=True)))
     assert [row.iteration for row in read_log(tmp_path / "training.csv")] == list(range(1, 9))
 
 
-def test_a_job_ended_by_a_cluster_says_how_to_go_on(data: DataSet, tmp_path: Path) -> None:
+def test_a_job_ended_by_a_cluster_says_how_to_resume(data: DataSet, tmp_path: Path) -> None:
     """SIGTERM for all processes at once, as from a queue whose time is over."""
     out = tmp_path / "run"
     options: dict[str, object] = {
@@ -136,7 +145,7 @@ def test_a_job_ended_by_a_cluster_says_how_to_go_on(data: DataSet, tmp_path: Pat
         said = process.communicate(timeout=60)[1]
     done = read_log(out / "training.csv")[-1].iteration
     assert process.returncode == 1
-    assert f"stopped; --resume goes on from iteration {done}" in " ".join(said.split())
+    assert f"interrupted; --resume resumes from iteration {done}" in " ".join(said.split())
     assert "Traceback" not in said
 
 
@@ -155,7 +164,7 @@ def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: 
             bf16=False,
             optimizer="sgd",
         )
-        steps = list(train(Job(cfg, data, out, how)))
+        steps = list(train(replace(job(data, out, how), cfg=cfg)))
         assert len((out / "training.csv").read_text().splitlines()) == 7
         values.append(read_weights(out / "small-yolov3_final.weights", cfg).values)
         losses.append([[step.loss, step.objectness] for step in steps])
@@ -173,15 +182,12 @@ def test_training_stops_when_the_map_gets_no_better(data: DataSet, tmp_path: Pat
     """At a rate of nothing the second mAP equals the first."""
     cfg = read_cfg(SMALL)
     idle = settings(learning_rate=0.0, map_every=3, patience=1)
-    steps = list(train(Job(cfg, data, tmp_path, idle)))
+    steps = list(train(job(data, tmp_path, idle)))
     assert steps[-1].iteration == 6
-    assert read_weights(tmp_path / "small-yolov3_final.weights", cfg).seen == 6 * 4
+    assert read_weights(tmp_path / "small-yolov3_final.weights", cfg).images_seen == 6 * 4
 
 
-def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
-    data: DataSet, tmp_path: Path
-) -> None:
-    cfg = read_cfg(SMALL)
+def test_images_are_drawn_anew_and_the_same_after_a_resume(data: DataSet, tmp_path: Path) -> None:
     drawn: list[NDArray[np.float64]] = []
     source = image_source("tiny")
 
@@ -191,43 +197,71 @@ def test_pictures_are_drawn_afresh_and_the_same_after_a_resume(
         drawn.append(boxes)
         return image, boxes
 
-    training = train(Job(cfg, data, tmp_path, settings(), draw=draw))
+    training = train(job(data, tmp_path, draw=draw))
     for _ in range(4):
         next(training)
     training.close()
     assert len(drawn) == 4 * 4
     assert len({boxes.tobytes() for boxes in drawn}) == 16
-    list(train(Job(cfg, data, tmp_path, settings(iterations=6), resume=True, draw=draw)))
+    list(train(job(data, tmp_path, settings(iterations=6), resume=True, draw=draw)))
     assert len({boxes.tobytes() for boxes in drawn}) == 24  # none of the first 16 again
     with pytest.raises(DroptrackError, match="no scene nought; there are a, b"):
         image_source("nought")
 
 
+@pytest.mark.parametrize("bf16", [False, True])
+def test_the_map_is_measured_in_the_precision_of_the_training(
+    bf16: bool, data: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    measured = []
+
+    def measure(*_: object, bf16: bool) -> float:
+        measured.append(bf16)
+        return 0.5
+
+    monkeypatch.setattr(torch_train, "mean_average_precision", measure)
+    how = settings(iterations=4, map_every=2, bf16=bf16)
+    list(train(job(data, tmp_path, how)))
+    assert measured == [bf16, bf16]
+
+
+def test_validation_in_fp32_finds_what_opencv_finds(data: DataSet, tmp_path: Path) -> None:
+    """The scores of the same weights; in bf16 they are a little off."""
+    cfg, weights = read_cfg(SMALL), tmp_path / "random.weights"
+    write_weights(weights, random_weights(cfg, np.random.default_rng(8)))
+    network = DarknetNetwork(cfg)
+    load_values(network, read_weights(weights, cfg).values)
+    image = read_image(data.valid[0])
+    (expected,) = darknet_detector(cfg, weights).detect([image])
+    exact, rough = (validation_detect(network, bf16=bf16)(image) for bf16 in (False, True))
+    assert len(exact) == len(expected) > 20
+    np.testing.assert_allclose(exact.scores, expected.scores, atol=1e-4)
+    best, other = expected.scores[:10], rough.scores[:10]
+    assert 1e-4 < np.abs(other - best).max() < 0.1
+
+
 def test_training_holds_on_to_no_tensors(data: DataSet, tmp_path: Path) -> None:
-    cfg = read_cfg(SMALL)
     counts = []
-    for step in train(Job(cfg, data, tmp_path, settings(iterations=25))):
+    for step in train(job(data, tmp_path, settings(iterations=25))):
         if step.iteration in (5, 25):
             gc.collect()
             counts.append(sum(issubclass(type(item), torch.Tensor) for item in gc.get_objects()))
     assert counts[0] == counts[1] > 10
 
 
-def test_a_loss_that_is_no_number_stops_the_training(data: DataSet, tmp_path: Path) -> None:
-    cfg = read_cfg(SMALL)
+def test_a_loss_that_diverges_stops_the_training(data: DataSet, tmp_path: Path) -> None:
     wild = settings(optimizer="sgd", learning_rate=1e12)
-    with pytest.raises(DroptrackError, match="no number any more at iteration"):
-        list(train(Job(cfg, data, tmp_path, wild)))
+    with pytest.raises(DroptrackError, match="NaN or infinite at iteration"):
+        list(train(job(data, tmp_path, wild)))
 
 
 def test_a_label_of_a_class_that_is_not_there_is_named(data: DataSet, tmp_path: Path) -> None:
     image = tmp_path / "0.jpg"
     image.write_bytes(data.train[0].read_bytes())
     image.with_suffix(".txt").write_text("1 0.5 0.5 0.1 0.1\n")
-    cfg = read_cfg(SMALL)
     wrong = replace(data, train=(image,))
     with pytest.raises(DroptrackError, match=r"0\.txt: has class 1, but the data set 1 classes"):
-        list(train(Job(cfg, wrong, tmp_path, settings())))
+        list(train(job(wrong, tmp_path)))
 
 
 def test_darknets_rate_burns_in_with_the_fourth_power_and_falls_in_steps() -> None:
@@ -237,7 +271,7 @@ def test_darknets_rate_burns_in_with_the_fourth_power_and_falls_in_steps() -> No
     assert rates == pytest.approx(expected)
 
 
-def test_every_picture_is_used_once_before_any_is_used_again() -> None:
+def test_every_image_is_used_once_before_any_is_used_again() -> None:
     batches = list(Batches(n=12, batch=4, start=0, stop=6, seed=1, random=(0.5, 2)))
     indices = [item[0] for batch in batches for item in batch]
     assert sorted(indices[:12]) == sorted(indices[12:]) == list(range(12))
@@ -251,19 +285,28 @@ def test_every_picture_is_used_once_before_any_is_used_again() -> None:
 
 @pytest.mark.parametrize("window", [(416, 224), (832, 416)])
 def test_augmented_boxes_stay_on_their_droplets(window: tuple[int, int]) -> None:
-    """Draw squares, change the picture at random, and find them again where the boxes say."""
+    """Draw squares, change the image at random, and find them again where the boxes say."""
     rng = np.random.default_rng(7)
     image = np.zeros((600, 1200, 3), np.uint8)
     boxes = np.array([[200, 100, 80, 60], [640, 320, 60, 60], [1000, 480, 100, 40.0]])
     for x, y, w, h in boxes.astype(int):
         image[y - h // 2 : y + h // 2, x - w // 2 : x + w // 2] = 255
-    how = Augmentation((832, 416), window, 0.2, (1, 1), 1.5, 1.5, 0.1, flip=True)
+    how = Augmentation(
+        size=(832, 416),
+        window=window,
+        jitter=0.2,
+        random=(1, 1),
+        saturation=1.5,
+        exposure=1.5,
+        hue=0.1,
+        flip=True,
+    )
     seen = 0
     for _ in range(30):
-        picture, truths = augment(
+        augmented, truths = augment(
             rng, image, np.zeros(3, np.int64), boxes / [1200, 600, 1200, 600], how, 1.0
         )
-        mask = (picture[..., 0] > picture.max() / 2).astype(np.uint8)
+        mask = (augmented[..., 0] > augmented.max() / 2).astype(np.uint8)
         _, _, stats, _ = cv2.connectedComponentsWithStats(mask)
         found = stats[1:, :4].astype(float)
         found[:, :2] += found[:, 2:] / 2

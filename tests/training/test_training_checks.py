@@ -11,8 +11,8 @@ from droptrack.network.darknet_cfg import Cfg, parse_cfg, with_options
 from droptrack.training.checks import (
     check_for_darknet,
     check_for_torch,
+    check_images,
     check_network,
-    check_pictures,
 )
 
 MINI = Path(__file__).parents[1] / "reference" / "mini.cfg"
@@ -23,7 +23,7 @@ def data(tmp_path: Path) -> DataSet:
     """Three images, whose labels are as they should be."""
     images = [tmp_path / f"{i}.jpg" for i in range(3)]
     for image in images:
-        image.write_bytes(b"picture")
+        image.write_bytes(b"image")
         image.with_suffix(".txt").write_text("0 0.5 0.5 0.1 0.2\n\n0 0.25 0.5 0.1 0.2\n")
     return DataSet(tmp_path / "obj.data", ("droplet",), tuple(images[:2]), (images[2],))
 
@@ -34,10 +34,10 @@ def cfg(change: Callable[[str], str] = str) -> Cfg:
 
 def test_what_is_right_passes(data: DataSet, tmp_path: Path) -> None:
     check_network(cfg(), data)
-    check_pictures(cfg(), data)
+    check_images(cfg(), data)
     check_for_darknet(cfg(), data, tmp_path)
-    data.train[0].with_suffix(".txt").write_text("")  # a picture without droplets
-    check_pictures(cfg(), data)
+    data.train[0].with_suffix(".txt").write_text("")  # an image without droplets
+    check_images(cfg(), data)
 
 
 @pytest.mark.parametrize(
@@ -93,16 +93,16 @@ def test_a_cfg_of_other_classes_names_the_filters_it_needs(data: DataSet) -> Non
 def test_labels_that_cannot_be_learnt(data: DataSet, labels: str, message: str) -> None:
     data.train[1].with_suffix(".txt").write_text(labels)
     with pytest.raises(DroptrackError, match=message):
-        check_pictures(cfg(), data)
+        check_images(cfg(), data)
 
 
 def test_images_and_labels_that_are_missing(data: DataSet) -> None:
     data.valid[0].with_suffix(".txt").unlink()
     with pytest.raises(DroptrackError, match=r"2\.txt: missing; .* an empty file"):
-        check_pictures(cfg(), data)
+        check_images(cfg(), data)
     data.train[0].unlink()
     with pytest.raises(DroptrackError, match=r"0\.jpg: no such image"):
-        check_pictures(cfg(), data)
+        check_images(cfg(), data)
 
 
 def test_names_that_darknet_misreads(data: DataSet, tmp_path: Path) -> None:

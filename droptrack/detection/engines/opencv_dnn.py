@@ -54,18 +54,18 @@ class OpenCvEngine(InThread):
         self._outputs = self._network.getUnconnectedOutLayersNames()
 
     def prepare(self, frames: Sequence[Frame]) -> Float32s:
-        """Pictures (B, 3, height, width), stretched to the network's size as Darknet does."""
+        """Images (B, 3, height, width), stretched to the network's size as Darknet does."""
         if (planes := grey_planes(frames)) is None:
             blob = cv2.dnn.blobFromImages(frames, 1 / 255, self._size, swapRB=True)
             return np.asarray(blob, np.float32)
-        pictures = np.empty((len(frames), 3, *self._size[::-1]), np.float32)
-        for plane, picture in zip(planes, pictures, strict=True):
-            np.multiply(cv2.resize(plane, self._size), np.float32(1 / 255), out=picture[0])
-            picture[1:] = picture[0]
-        return pictures
+        images = np.empty((len(frames), 3, *self._size[::-1]), np.float32)
+        for plane, image in zip(planes, images, strict=True):
+            np.multiply(cv2.resize(plane, self._size), np.float32(1 / 255), out=image[0])
+            image[1:] = image[0]
+        return images
 
     def run(self, prepared: Float32s) -> list[Float32s]:
-        """Rows of each head, cell by cell, of one picture after the other."""
+        """Rows of each head, cell by cell, of one image after the other."""
         self._network.setInput(prepared)
         return [
             np.asarray(output, np.float32).reshape(len(prepared), -1, np.asarray(output).shape[-1])

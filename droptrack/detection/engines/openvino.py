@@ -17,7 +17,8 @@ from droptrack.detection.decoding import decode_heads
 from droptrack.detection.detector import Computed
 from droptrack.network.darknet_cfg import Cfg, yolo_heads
 from droptrack.network.darknet_weights import Weights
-from droptrack.network.onnx_export import Range, onnx_model
+from droptrack.network.onnx_export import onnx_model
+from droptrack.network.quantisation import KERNEL_MAX, UNSATURATED_MAX, Quantisation, Range
 
 # in int8, what is not quantised, such as the last maps, is computed in fp32
 INFERENCE_PRECISION = {"fp32": "f32", "bf16": "bf16", "int8": "f32"}
@@ -27,8 +28,8 @@ class OpenVinoEngine:
     """A network in OpenVINO.
 
     `ranges` of the layers' outputs, for int8 (`quantisation.Calibration`). `streams`: how many
-    pictures are computed at once, each by a part of the cores: one for the shortest time from
-    picture to boxes, two for more pictures a second. Grey frames take a network with one channel.
+    images are computed at once, each by a part of the cores: one for the shortest time from
+    image to boxes, two for more images a second. Grey frames take a network with one channel.
     """
 
     opencv_threads = 1
@@ -56,7 +57,7 @@ class OpenVinoEngine:
         self._networks: dict[int, Compiled] = {}
 
     def prepare(self, frames: Sequence[Frame]) -> Pixels:
-        """Pictures (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
+        """Images (B, 1 or 3, height, width) of bytes, grey or RGB, stretched to the size."""
         if (planes := grey_planes(frames)) is None:
             blob = cv2.dnn.blobFromImages(frames, 1, self._size, swapRB=True, ddepth=cv2.CV_8U)
             return np.asarray(blob, np.uint8)
@@ -66,23 +67,25 @@ class OpenVinoEngine:
         return pixels
 
     def start(self, prepared: Pixels) -> "Computing":
-        """Compute pictures one by one, since together they take the same time."""
+        """Compute images one by one, since together they take the same time."""
         return Computing(self._network(prepared.shape[1]), prepared)
 
     def rows(self, outputs: list[Float32s]) -> list[Float32s]:
-        """Decoded rows (N, 5 + C) of each picture."""
+        """Decoded rows (N, 5 + C) of each image."""
         return decode_heads(outputs, self._heads, self._threshold)
 
     def _network(self, channels: int) -> "Compiled":
-        """The network for grey or RGB pictures, compiled when it is needed."""
+        """The network for grey or RGB images, compiled when it is needed."""
         if channels not in self._networks:
+            quantisation = None
+            if self._ranges is not None:
+                quantisation = Quantisation(self._ranges, kernel_max(), pool_bytes=True)
             model = onnx_model(
                 self._cfg,
                 self._weights,
                 pixels=True,
                 grey=channels == 1,
-                ranges=self._ranges,
-                pool_bytes=True,
+                quantisation=quantisation,
             )
             network = core().read_model(model.SerializeToString())
             network.reshape([1, channels, *self._size[::-1]])
@@ -101,17 +104,17 @@ class Compiled:
 
 
 class Computing:
-    """Pictures (B, C, height, width) on their way through a network."""
+    """Images (B, C, height, width) on their way through a network."""
 
-    def __init__(self, compiled: Compiled, pictures: Pixels) -> None:
+    def __init__(self, compiled: Compiled, images: Pixels) -> None:
         self._compiled = compiled
         self._requests: list[openvino.InferRequest] = []
         self._started = perf_counter()
-        for picture in pictures:
+        for image in images:
             free = compiled.free
             request = free.pop() if free else compiled.network.create_infer_request()
             self._requests.append(request)
-            request.start_async([picture[None]], share_inputs=True)
+            request.start_async([image[None]], share_inputs=True)
 
     def result(self) -> Computed:
         """The maps of the heads (B, A * (5 + C), rows, columns)."""
@@ -142,6 +145,23 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+@functools.cache
+def kernel_max() -> int:
+    """The largest step of a kernel in int8 of which sums do not overflow on this CPU.
+
+    With VNNI instructions a CPU adds products of bytes in 32 bits. Without (Intel's before Ice
+    Lake, AMD's before Zen 4; or where nobody can tell), OpenVINO adds two products in 16 bits, and
+    what overflows is cut off without a word.
+    """
+    try:
+        from llvmlite.binding import get_host_cpu_features
+    except ImportError:
+        return UNSATURATED_MAX
+    features = get_host_cpu_features()
+    vnni = any(features.get(name, False) for name in ("avx512vnni", "avxvnni"))
+    return KERNEL_MAX if vnni else UNSATURATED_MAX
+
+
 def computes_faster_in(precision: str) -> bool:
     """Whether this CPU computes in bf16 or int8 faster than in fp32."""
     return precision.upper() in core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
@@ -162,7 +182,7 @@ def layer_outputs(
 def output_ranges(
     cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
 ) -> dict[int, Range]:
-    """The least and largest value that layers put out, in fp32, over frames, by layer."""
+    """The minimum and maximum that layers put out, in fp32, over frames, by layer."""
     ranges = dict.fromkeys(layers, (np.inf, -np.inf))
     for outputs in layer_outputs(cfg, weights, layers, frames):
         for layer, values in outputs.items():

@@ -16,7 +16,13 @@ from droptrack.detection.engines.in_thread import InThread
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.network.darknet_weights import Weights
-from droptrack.network.torch_network import DarknetNetwork, load_values
+from droptrack.network.torch_network import (
+    DarknetNetwork,
+    Grid,
+    decode_boxes,
+    head_grid,
+    load_values,
+)
 
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16, "fp16": torch.float16}
 
@@ -36,13 +42,9 @@ class FramesToRows(nn.Module):
         self.network = network.to(dtype, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.size, self.dtype = (cfg.height, cfg.width), dtype
         for number, head in enumerate(network.heads):
-            rows, columns = cfg.height // head.stride, cfg.width // head.stride
-            row, column = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
-            corner = torch.stack([column, row], 2) - (head.scale_x_y - 1) / 2
-            anchors = torch.tensor(head.anchors / [cfg.width, cfg.height], dtype=torch.float32)
-            self.register_buffer(f"corner_{number}", corner.float())
-            self.register_buffer(f"cells_{number}", torch.tensor([columns, rows]).float())
-            self.register_buffer(f"anchors_{number}", anchors[:, None, None])
+            grid = head_grid(head, cfg.height // head.stride, cfg.width // head.stride)
+            for name, values in grid._asdict().items():
+                self.register_buffer(f"{name}_{number}", values)
 
     def forward(self, frames: Tensor) -> Tensor:
         """Frames (B, H, W, 3 or 1) uint8, BGR or grey -> rows (B, N, 5 + C) as of `decode_head`."""
@@ -53,9 +55,8 @@ class FramesToRows(nn.Module):
         parts = []
         for number, (raw, head) in enumerate(zip(self.network(x), self.network.heads, strict=True)):
             logits = raw.float().permute(0, 1, 3, 4, 2)  # (B, A, rows, columns, 5 + C)
-            corner, cells = (self.get_buffer(f"{name}_{number}") for name in ("corner", "cells"))
-            centre = (logits[..., :2].sigmoid() * head.scale_x_y + corner) / cells
-            size = logits[..., 2:4].clamp(max=10).exp() * self.get_buffer(f"anchors_{number}")
+            grid = Grid(*(self.get_buffer(f"{name}_{number}") for name in Grid._fields))
+            centre, size = decode_boxes(logits, grid, head.scale_x_y)
             decoded = torch.cat([centre, size, logits[..., 4:].sigmoid()], dim=4)
             parts.append(decoded.flatten(1, 3))
         return torch.cat(parts, dim=1)
@@ -73,9 +74,9 @@ class TorchEngine(InThread):
         self._network = FramesToRows(cfg, weights, DTYPES[precision]).to(self.device)
 
     def prepare(self, frames: Sequence[Frame]) -> Tensor:
-        """Pictures (B, height, width, 3 or 1) of bytes, stretched to the network's size."""
-        pictures = np.stack([cv2.resize(picture, self._size) for picture in _pictures(frames)])
-        return torch.from_numpy(pictures.reshape(len(frames), *self._size[::-1], -1))
+        """Images (B, height, width, 3 or 1) of bytes, stretched to the network's size."""
+        images = np.stack([cv2.resize(image, self._size) for image in _images(frames)])
+        return torch.from_numpy(images.reshape(len(frames), *self._size[::-1], -1))
 
     def run(self, prepared: Tensor) -> Tensor:
         """Rows (B, N, 5 + C)."""
@@ -84,12 +85,12 @@ class TorchEngine(InThread):
         return rows
 
     def rows(self, outputs: Tensor) -> list[Float32s]:
-        """The rows (N, 5 + C) of each picture with an objectness above the threshold."""
+        """The rows (N, 5 + C) of each image with an objectness above the threshold."""
         every = outputs.numpy()
         return [rows[rows[:, 4] > self._threshold] for rows in every]
 
 
-def _pictures(frames: Sequence[Frame]) -> Sequence[Frame]:
+def _images(frames: Sequence[Frame]) -> Sequence[Frame]:
     """Frames (H, W, 3) as they are, grey ones (H, W, 1)."""
     planes = grey_planes(frames)
     return frames if planes is None else [plane[..., None] for plane in planes]
@@ -126,7 +127,7 @@ class TorchCudaEngine(TorchEngine):
 
     def prepare(self, frames: Sequence[Frame]) -> Tensor:
         """Frames (B, H, W, 3 or 1) of bytes in memory that the GPU reads by itself."""
-        return torch.from_numpy(np.stack(_pictures(frames))).pin_memory()
+        return torch.from_numpy(np.stack(_images(frames))).pin_memory()
 
     def run(self, prepared: Tensor) -> Tensor:
         """Rows (B, N, 5 + C), on the CPU."""

@@ -1,9 +1,8 @@
-"""A Darknet binary: where it is, which fork it is, how it is told to train, what it leaves behind.
+"""A Darknet binary: where it is, which fork it is, how to start it, the weights it leaves behind.
 
 It runs in the run folder, with a data file of its own there, so that all it writes lands in it.
 """
 
-import hashlib
 import os
 import re
 import shutil
@@ -15,6 +14,7 @@ from droptrack.data.darknet_dataset import DataSet
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.network.darknet_weights import read_weights
+from droptrack.network.quantisation import sha256_of
 from droptrack.training.darknet.console import ESCAPES
 
 
@@ -28,15 +28,14 @@ class Darknet:
 
     def about(self) -> dict[str, str]:
         """For the run file."""
-        digest = hashlib.sha256(self.path.read_bytes()).hexdigest()
         return {
             "trainer": f"Darknet of {self.fork}, {self.version}",
             "darknet": str(self.path),
-            "sha256": digest,
+            "sha256": sha256_of(self.path),
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DarknetSettings:
     """How to run Darknet, beside what the ``.cfg`` says."""
 
@@ -44,7 +43,7 @@ class DarknetSettings:
     save_every: int  # iterations between snapshots (hank-ai: always 100)
     map_every: int  # iterations between measurements of the mAP, about
     patience: int  # measurements of the mAP without a new best that end the training; 0: never
-    hang_seconds: float  # of silence after which Darknet is given up
+    hang_seconds: float  # without output after which Darknet is stopped
 
 
 def find_darknet(given: Path | None) -> Path | None:
@@ -85,7 +84,7 @@ def identify(path: Path) -> Darknet:
 def write_data_files(
     darknet: Darknet, folder: Path, data: DataSet, settings: DarknetSettings
 ) -> None:
-    """Write obj.data and what it names into the run folder, the lists with whole paths.
+    """Write obj.data and the files it names into the run folder, the lists with whole paths.
 
     Darknet drops the spaces of a data file's lines, so the names in it have none.
     """
@@ -136,10 +135,10 @@ def training_command(
 
 
 def furthest_weights(folder: Path, cfg: Cfg) -> tuple[Path, int] | None:
-    """The whole, finite weights of a run that have seen most, and the iteration they are of.
+    """The complete, finite weights of a run with the highest iteration, and that iteration.
 
-    A Darknet that was killed may leave half a file, and one that was interrupted a ``_final`` that
-    is none.
+    A Darknet that was killed may leave half a file, and one that was interrupted a ``_final`` of an
+    earlier iteration.
     """
     batch = cfg.net.integer("batch")
     found = None
@@ -147,7 +146,7 @@ def furthest_weights(folder: Path, cfg: Cfg) -> tuple[Path, int] | None:
         if not re.fullmatch(r"last|final|\d+", path.stem.removeprefix(f"{cfg.path.stem}_")):
             continue
         try:
-            iteration = read_weights(path, cfg).seen // batch
+            iteration = read_weights(path, cfg).images_seen // batch
         except DroptrackError:
             continue
         if found is None or iteration > found[1]:

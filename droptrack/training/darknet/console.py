@@ -5,11 +5,12 @@ hank-ai/darknet writes ``iteration: key=value, ...``. Whatever is not understood
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Iteration:
     """One iteration is done; `next_map` is the iteration of the next mAP, 0 if not in this line."""
 
@@ -30,14 +31,14 @@ class NextMap:
 
 @dataclass(frozen=True)
 class MeanAp:
-    """A mAP was measured on the validation pictures, 0 to 1."""
+    """A mAP was measured on the validation images, 0 to 1."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class Rewritten:
-    """The share, 0 to 1, of truths whose cell and anchor another truth took, since the start."""
+    """The share, 0 to 1, of ground truths whose cell and anchor another took, since the start."""
 
     share: float
 
@@ -56,14 +57,16 @@ class Question:
 
 Event: TypeAlias = Iteration | NextMap | MeanAp | Rewritten | Saving | Question
 
-NUMBER = r"([-+\w.]+)"
+VALUE = r"[-+\w.]+"
+NUMBER = f"({VALUE})"
 ESCAPES = re.compile(r"\x1b\][^\x07]*\x07|\x1b\[[0-9;?]*[A-Za-z]")
 ALEXEY_LINE = re.compile(
-    rf"\s*(\d+): {NUMBER}, {NUMBER} avg(?: loss)?, {NUMBER} rate, {NUMBER} seconds, (\d+) images"
+    rf"\s*(?P<iteration>\d+): (?P<loss>{VALUE}), (?P<average>{VALUE}) avg(?: loss)?, "
+    rf"(?P<rate>{VALUE}) rate, {VALUE} seconds, (?P<images>\d+) images"
 )
 HANK_LINE = re.compile(
-    rf"\s*(\d+): loss={NUMBER}, avg loss={NUMBER}, .*?"
-    rf"(?:mAP|next)=(\w+), rate={NUMBER}, .*?(\d+) images"
+    rf"\s*(?P<iteration>\d+): loss=(?P<loss>{VALUE}), avg loss=(?P<average>{VALUE}), .*?"
+    rf"(?:mAP|next)=(?P<next_map>\w+), rate=(?P<rate>{VALUE}), .*?(?P<images>\d+) images"
 )
 NEXT_MAP = re.compile(r"next mAP calculation at (\d+) iterations")
 MEAN_AP = re.compile(rf"mean average precision \(mAP@[\d.]+\)\s*=\s*{NUMBER}(%?)")
@@ -73,20 +76,11 @@ QUESTION = re.compile('Type "yes" to begin training')
 
 
 def parse_line(line: str) -> Event | None:
-    """The event that a line of the console stands for, if any."""
+    """The event that a line of the console tells, if any."""
     text = ESCAPES.sub("", line)
     try:
-        if found := ALEXEY_LINE.match(text):
-            iteration, loss, average, rate, _, images = found.groups()
-            return Iteration(
-                int(iteration), float(loss), float(average), float(rate), int(images), 0
-            )
-        if found := HANK_LINE.match(text):
-            iteration, loss, average, after, rate, images = found.groups()
-            next_map = int(after) if after.isdigit() else 0
-            return Iteration(
-                int(iteration), float(loss), float(average), float(rate), int(images), next_map
-            )
+        if found := ALEXEY_LINE.match(text) or HANK_LINE.match(text):
+            return _iteration(found.groupdict())
         if found := NEXT_MAP.search(text):
             return NextMap(int(found[1]))
         if found := MEAN_AP.search(text):
@@ -98,6 +92,18 @@ def parse_line(line: str) -> Event | None:
     if found := SAVING.search(text):
         return Saving(found[1].strip())
     return Question() if QUESTION.search(text) else None
+
+
+def _iteration(groups: Mapping[str, str]) -> Iteration:
+    next_map = groups.get("next_map", "")
+    return Iteration(
+        iteration=int(groups["iteration"]),
+        loss=float(groups["loss"]),
+        average_loss=float(groups["average"]),
+        learning_rate=float(groups["rate"]),
+        images=int(groups["images"]),
+        next_map=int(next_map) if next_map.isdigit() else 0,
+    )
 
 
 class Console:

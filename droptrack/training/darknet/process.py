@@ -1,4 +1,4 @@
-"""A running Darknet: its console as events, its stdin, and how to end it."""
+"""A running Darknet: its console as events, its stdin, and the means to end it."""
 
 import contextlib
 import os
@@ -20,11 +20,11 @@ STOP_SECONDS = 10.0  # that a Darknet has to end when asked to
 class DarknetProcess:
     """A started Darknet in a process group of its own, so that Ctrl-C does not reach it.
 
-    What both its streams say is kept in ``darknet.log`` of the folder it runs in, as it comes.
+    All that it prints is kept in ``darknet.log`` of the folder it runs in, at once.
     """
 
     def __init__(self, command: list[str], folder: Path) -> None:
-        self.heard = time.monotonic()  # when it last said something
+        self.heard = time.monotonic()  # when it last printed something
         # when each came; None: it has ended
         self.events: queue.SimpleQueue[tuple[float, Event | None]] = queue.SimpleQueue()
         self._log = (folder / "darknet.log").open("ab", buffering=0)

@@ -1,11 +1,11 @@
-"""Training by a Darknet binary: followed, kept in the log, stopped, and gone on with."""
+"""Training by a Darknet binary: watched, logged, stopped, and resumed."""
 
 import math
 import os
 import queue
 import signal
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +31,7 @@ from droptrack.training.darknet.console import (
     Saving,
 )
 from droptrack.training.darknet.process import DarknetProcess, last_words
-from droptrack.training.log import Step, TrainingLog
+from droptrack.training.log import Step, TrainingLog, diverged
 
 NAN = float("nan")
 
@@ -62,10 +62,10 @@ class DarknetTraining:
     def steps(self, start: Path | None, resume: bool) -> Generator[Step, None, None]:
         """Train; yields each iteration, and again once its mAP is known.
 
-        `start`: weights to begin with. With `resume`, goes on from the snapshot that got furthest.
-        A Darknet that ends while it computes a mAP is started again without ``-map``. Raises
-        DroptrackError when the loss is no number any more, and when Darknet ends early or says
-        nothing for too long.
+        `start`: weights to begin with. With `resume`, resumes from the snapshot with the highest
+        iteration. A Darknet that ends while it computes a mAP is started again without ``-map``.
+        Raises DroptrackError when the loss diverges, and when Darknet ends early or prints nothing
+        for too long.
         """
         write_data_files(self.darknet, self.folder, self.data, self.settings)
         first = 0
@@ -73,23 +73,23 @@ class DarknetTraining:
             found = furthest_weights(self.folder, self.cfg)
             if found is None:
                 raise DroptrackError(
-                    f"{self.folder}: has no whole snapshot to go on from; start again, in another "
-                    "--out"
+                    f"{self.folder}: has no complete snapshot to resume from; start again, in "
+                    "another --out"
                 )
             start, first = found
             if first >= self.iterations:
                 raise DroptrackError(
-                    f"{start}: is at iteration {first} already; to go on, raise --iterations"
+                    f"{start}: is at iteration {first} already; to train longer, raise --iterations"
                 )
         with TrainingLog(self.folder, first) as log:
             try:
-                yield from self._follow(log, start, first, with_map=True)
+                yield from self._run(log, start, first, with_map=True)
             except _EndedAtMapError:
                 start, first = furthest_weights(self.folder, self.cfg) or (start, 0)
                 log.forget_after(first)
-                yield from self._follow(log, start, first, with_map=False)
+                yield from self._run(log, start, first, with_map=False)
 
-    def _follow(
+    def _run(
         self, log: TrainingLog, start: Path | None, first: int, with_map: bool
     ) -> Generator[Step, None, None]:
         """One Darknet from its start to its end."""
@@ -112,7 +112,8 @@ class DarknetTraining:
                         iteration, began = event.iteration, now
                         next_map = event.next_map or next_map
                         log.append(step)
-                        self._check_loss(step)
+                        if not math.isfinite(step.loss):
+                            raise diverged(self.folder, step)
                         yield step
                         if snapshot is not None and not with_map:
                             if iteration - scorer.iteration >= self.settings.map_every:
@@ -136,18 +137,23 @@ class DarknetTraining:
                         return
             self._check_end(process, iteration, at_map=with_map and 0 < next_map <= iteration)
             if not with_map:
-                for snapshot in (None, self.folder / f"{self.cfg.path.stem}_final.weights"):
-                    if snapshot is not None:
-                        scorer.begin(snapshot)
-                    if (mean_ap := scorer.result(wait=True)) is not None:
-                        log.set_mean_ap(*mean_ap)
-                        yield replace(step, mean_ap=mean_ap[1])
+                for mean_ap in self._last_scores(scorer):
+                    log.set_mean_ap(*mean_ap)
+                    yield replace(step, mean_ap=mean_ap[1])
         finally:
             process.stop()
             scorer.close()
 
+    def _last_scores(self, scorer: "_Scorer") -> Iterator[tuple[int, float]]:
+        """Iteration and mAP of the snapshot that is being scored, and of the final weights."""
+        if (mean_ap := scorer.result(wait=True)) is not None:
+            yield mean_ap
+        scorer.begin(self.folder / f"{self.cfg.path.stem}_final.weights")
+        if (mean_ap := scorer.result(wait=True)) is not None:
+            yield mean_ap
+
     def _next_event(self, process: DarknetProcess) -> tuple[float, Event | None]:
-        """When Darknet said what next; None once it has ended."""
+        """The next event and its time; None once Darknet has ended."""
         limit = self.settings.hang_seconds
         while True:
             try:
@@ -156,39 +162,32 @@ class DarknetTraining:
             except queue.Empty:
                 if time.monotonic() - process.heard >= limit:
                     raise DroptrackError(
-                        f"{self.folder / 'darknet.log'}: Darknet has said nothing for {limit:.0f} "
-                        f"s and was stopped; {self._cure()} (--hang-minutes allows more)"
+                        f"{self.folder / 'darknet.log'}: Darknet has printed nothing for "
+                        f"{limit:.0f} s and was stopped; {self._cure()} (--hang-minutes allows "
+                        "more)"
                     ) from None
-
-    def _check_loss(self, step: Step) -> None:
-        if not math.isfinite(step.loss):
-            raise DroptrackError(
-                f"{self.folder}: the loss is no number any more at iteration {step.iteration}, "
-                f"at a rate of {step.learning_rate:g}; start again, in another --out, "
-                "with a smaller --learning-rate"
-            )
 
     def _check_end(self, process: DarknetProcess, iteration: int, at_map: bool) -> None:
         """Raise an error where Darknet did not come to the end of the training."""
         found = furthest_weights(self.folder, self.cfg)
         if iteration >= self.iterations and found is not None and found[1] >= self.iterations:
-            return  # some builds die clearing up
+            return  # some builds crash while they clean up
         if at_map:
             raise _EndedAtMapError
         log, code = self.folder / "darknet.log", process.popen.returncode
-        how = (
+        end = (
             f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
         )
         raise DroptrackError(
-            f"{log}: Darknet {how} after iteration {iteration} of {self.iterations}; its last "
+            f"{log}: Darknet {end} after iteration {iteration} of {self.iterations}; its last "
             f"words: {last_words(log)!r}; {self._cure()}"
         )
 
     def _cure(self) -> str:
         found = furthest_weights(self.folder, self.cfg)
         if found is None:
-            return "no snapshot is there to go on from: start again, in another --out"
-        return f"--resume goes on from iteration {found[1]}"
+            return "there is no snapshot to resume from: start again, in another --out"
+        return f"--resume resumes from iteration {found[1]}"
 
 
 class _Scorer:
@@ -203,16 +202,16 @@ class _Scorer:
         self.iteration = 0  # of the snapshot taken last
 
     def begin(self, snapshot: Path) -> None:
-        """Take a copy of a snapshot and score it, if it is whole and none is being scored."""
+        """Score a copy of a snapshot, if it is complete and none is being scored."""
         if self._pending is not None:
             return
         try:
-            whole = read_weights(snapshot, self._cfg)
+            complete = read_weights(snapshot, self._cfg)
         except DroptrackError:
             return
-        self.iteration = whole.seen // self._cfg.net.integer("batch")
+        self.iteration = complete.images_seen // self._cfg.net.integer("batch")
         self._copy = snapshot.with_name(f"{self._cfg.path.stem}_scored.weights")
-        write_weights(self._copy, whole)
+        write_weights(self._copy, complete)
         self._pending = self._pool.submit(self._score, self._copy)
 
     def result(self, wait: bool = False) -> tuple[int, float] | None:
@@ -235,15 +234,15 @@ class _Scorer:
 
 def _step(event: Iteration, rewritten: float, seconds: float) -> Step:
     return Step(
-        event.iteration,
-        event.loss,
-        event.average_loss,
-        NAN,
-        NAN,
-        NAN,
-        rewritten,
-        event.learning_rate,
-        seconds,
-        event.images,
-        NAN,
+        iteration=event.iteration,
+        loss=event.loss,
+        average_loss=event.average_loss,
+        regression=NAN,
+        objectness=NAN,
+        classes=NAN,
+        rewritten=rewritten,
+        learning_rate=event.learning_rate,
+        seconds=seconds,
+        images=event.images,
+        mean_ap=NAN,
     )

@@ -1,4 +1,4 @@
-"""What PyTorch trains on: which devices, and one process for each."""
+"""The devices that PyTorch trains on, and one process for each."""
 
 import datetime
 import signal
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def machine() -> dict[str, str]:
-    """What trains, for the run file."""
+    """The trainer and its device, for the run file."""
     device = torch.cuda.get_device_name() if torch.cuda.is_available() else "the CPU"
     return {"trainer": f"PyTorch {torch.__version__} on {device}"}
 
@@ -79,7 +79,7 @@ def other_ranks(
 
 
 def leave_signals_to_the_first_process() -> None:
-    """Whoever ends a training ends all of its processes; the first says so to the others."""
+    """Ignore what ends a training: all its processes get the signal, the first ends the others."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
 

@@ -1,30 +1,36 @@
-"""Pictures of a Darknet data set -> augmented batches for training."""
+"""Images of a Darknet data set -> augmented batches for training."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
+from droptrack.data.arrays import Float32s, Floats, Pixels, Rows
 from droptrack.data.darknet_dataset import DataSet, read_image, read_labels
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
+from droptrack.training.config import DrawImage
+from droptrack.training.pytorch.devices import leave_signals_to_the_first_process
 
-Sample = tuple[Tensor, Tensor]  # image (3, H, W) uint8 RGB; truths (N, 5) class, relative box
-# makes a picture (H, W, 3) uint8 BGR and the boxes (N, 4) px of the droplets in it
-DrawPicture = Callable[[np.random.Generator], tuple[NDArray[np.uint8], NDArray[np.float64]]]
+# image (3, H, W) uint8 RGB; ground truths (N, 5) class, relative box
+Sample = tuple[Tensor, Tensor]
+
+DARKNET_RANDOM = 1.4  # maximum factor on the size with Darknet's random=1; minimum: one over it
+SHARE_WITH_DROPLET = 0.9  # of the windows, which are laid around a random droplet
+MIN_VISIBLE = 0.1  # share of a droplet's area in the window, for it to be ground truth
+MIN_VISIBLE_PX = 2  # and of its width and height
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Augmentation:
-    """How pictures are changed, with Darknet's names; `window` is ours.
+    """How images are changed, with Darknet's names; `window` is ours.
 
-    The picture is stretched to the network's size (times a random factor a batch when `random`),
+    The image is stretched to the network's size (times a random factor a batch when `random`),
     then moved and zoomed by up to `jitter`. Of the result only a `window` (width, height) px at a
     random place is used: the network is convolutional, so small windows teach it the same in less
     time, if nothing but the window's content decides what is a droplet.
@@ -46,26 +52,26 @@ class Augmentation:
         """What a ``.cfg`` asks for, with a window and a range of sizes of our own if given."""
         net, head = cfg.net, next(layer for layer in cfg.layers if layer.kind == "yolo")
         size = (cfg.width, cfg.height)
-        darknet_random = (1 / 1.4, 1.4) if head.integer("random", 0) else (1.0, 1.0)
+        by_cfg = (1 / DARKNET_RANDOM, DARKNET_RANDOM) if head.integer("random", 0) else (1.0, 1.0)
         return Augmentation(
-            size,
-            window or size,
-            head.number("jitter", 0.2),
-            random or darknet_random,
-            net.number("saturation", 1.0),
-            net.number("exposure", 1.0),
-            net.number("hue", 0.0),
-            bool(net.integer("flip", 1)),
+            size=size,
+            window=window or size,
+            jitter=head.number("jitter", 0.2),
+            random=random or by_cfg,
+            saturation=net.number("saturation", 1.0),
+            exposure=net.number("exposure", 1.0),
+            hue=net.number("hue", 0.0),
+            flip=bool(net.integer("flip", 1)),
         )
 
 
-class TrainingPictures(Dataset[Sample]):
-    """Augmented training pictures. An item is asked for by (index, seed, factor on the size).
+class TrainingImages(Dataset[Sample]):
+    """Augmented training images. An item is asked for by (index, seed, factor on the size).
 
-    With `draw`, a picture is drawn afresh from the seed each time, whatever the index.
+    With `draw`, an image is drawn anew from the seed each time, whatever the index.
     """
 
-    def __init__(self, data: DataSet, augmentation: Augmentation, draw: DrawPicture | None) -> None:
+    def __init__(self, data: DataSet, augmentation: Augmentation, draw: DrawImage | None) -> None:
         self.data, self.augmentation, self.draw = data, augmentation, draw
 
     def __len__(self) -> int:
@@ -80,10 +86,10 @@ class TrainingPictures(Dataset[Sample]):
             image, boxes_px = self.draw(rng)
             class_ids = np.zeros(len(boxes_px), np.int64)
             boxes = boxes_px / np.tile(image.shape[1::-1], 2)
-        picture, truths = augment(rng, image, class_ids, boxes, self.augmentation, factor)
-        return torch.from_numpy(picture).permute(2, 0, 1), torch.from_numpy(truths)
+        augmented, truths = augment(rng, image, class_ids, boxes, self.augmentation, factor)
+        return torch.from_numpy(augmented).permute(2, 0, 1), torch.from_numpy(truths)
 
-    def _read(self, path: Path) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.float64]]:
+    def _read(self, path: Path) -> tuple[Pixels, Rows, Floats]:
         class_ids, boxes = read_labels(path)
         n_classes = len(self.data.names)
         if (class_ids >= n_classes).any():
@@ -96,51 +102,67 @@ class TrainingPictures(Dataset[Sample]):
 
 def augment(
     rng: np.random.Generator,
-    image: NDArray[np.uint8],
-    class_ids: NDArray[np.int64],
-    boxes_relative: NDArray[np.float64],
+    image: Pixels,
+    class_ids: Rows,
+    boxes_relative: Floats,
     how: Augmentation,
     factor: float,
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """One picture (H, W, 3) BGR, changed at random -> (window h, window w, 3) RGB, truths (N, 5).
+) -> tuple[Pixels, Float32s]:
+    """One image (H, W, 3) BGR, changed at random, and its ground truths.
 
-    Boxes are cut at the window's edges; those of which less than a tenth is left are dropped.
+    Returns (window h, window w, 3) RGB and (N, 5): class, box relative to the window. Boxes are cut
+    at the window's edges; those of which less than MIN_VISIBLE is left are dropped.
     """
     height, width = image.shape[:2]
     target = np.array(how.size) * factor
     window = np.array(how.window, float)
     zoom = target / [width, height] * rng.uniform(1 - how.jitter, 1 + how.jitter, 2)
-    slack = zoom * [width, height] - window
-    margin = how.jitter * window * (slack <= 0)  # a picture that fits is moved about by up to that
-    low, high = np.minimum(0, slack) - margin / 2, np.maximum(0, slack) + margin / 2
-    if len(boxes_relative) and rng.random() < 0.9:  # not many windows without any droplet
-        wanted = boxes_relative[rng.integers(len(boxes_relative)), :2] * zoom * [width, height]
-        low = np.clip(wanted - window, low, high)
-        high = np.clip(wanted, low, high)
-    offset = rng.uniform(low, high)
+    centres = boxes_relative[:, :2] * zoom * [width, height]
+    offset = _random_offset(rng, zoom * [width, height], centres, how)
     flip = how.flip and rng.random() < 0.5
-    # a pixel's centre is at c + 0.5, OpenCV's warp counts centres from 0
     scale = zoom * np.array([-1 if flip else 1, 1])
     shift = -offset
     if flip:
         shift[0] = window[0] - shift[0]
+    # a pixel's centre is at c + 0.5, OpenCV's warp counts centres from 0
     matrix = np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]]])
     matrix[:, 2] += 0.5 * scale - 0.5
     warped = cv2.warpAffine(image, matrix, how.window, borderMode=cv2.BORDER_REPLICATE)
     boxes = boxes_relative * [width, height, width, height]
-    centre, size = boxes[:, :2] * scale + shift, boxes[:, 2:] * zoom
-    corners = np.stack([centre - size / 2, centre + size / 2])
-    clipped = np.clip(corners, 0, window)
-    visible = clipped[1] - clipped[0]
-    keep = (visible.min(axis=1) > 2) & (visible.prod(axis=1) > 0.1 * size.prod(axis=1))
-    relative = np.column_stack([clipped.mean(axis=0) / window, visible / window])
-    truths = np.column_stack([class_ids, relative])[keep].astype(np.float32)
+    truths = _visible(class_ids, boxes[:, :2] * scale + shift, boxes[:, 2:] * zoom, window)
     return _recolour(rng, np.asarray(warped, np.uint8), how), truths
 
 
-def _recolour(
-    rng: np.random.Generator, image: NDArray[np.uint8], how: Augmentation
-) -> NDArray[np.uint8]:
+def _random_offset(
+    rng: np.random.Generator, size: Floats, centres: Floats, how: Augmentation
+) -> Floats:
+    """Where the window begins in an image of `size` (2,) px; mostly so that a droplet is in it.
+
+    `centres` (N, 2) px of the droplets.
+    """
+    window = np.array(how.window, float)
+    slack = size - window
+    margin = how.jitter * window * (slack <= 0)  # an image that fits is moved by up to that
+    low, high = np.minimum(0, slack) - margin / 2, np.maximum(0, slack) + margin / 2
+    if len(centres) and rng.random() < SHARE_WITH_DROPLET:
+        wanted = centres[rng.integers(len(centres))]
+        low = np.clip(wanted - window, low, high)
+        high = np.clip(wanted, low, high)
+    return np.asarray(rng.uniform(low, high))
+
+
+def _visible(class_ids: Rows, centres: Floats, sizes: Floats, window: Floats) -> Float32s:
+    """Ground truths (N, 5) relative to the window, of boxes of which enough is in it."""
+    corners = np.stack([centres - sizes / 2, centres + sizes / 2])
+    clipped = np.clip(corners, 0, window)
+    visible = clipped[1] - clipped[0]
+    enough = visible.prod(axis=1) > MIN_VISIBLE * sizes.prod(axis=1)
+    keep = (visible.min(axis=1) > MIN_VISIBLE_PX) & enough
+    relative = np.column_stack([clipped.mean(axis=0) / window, visible / window])
+    return np.asarray(np.column_stack([class_ids, relative])[keep], np.float32)
+
+
+def _recolour(rng: np.random.Generator, image: Pixels, how: Augmentation) -> Pixels:
     """Change exposure, saturation and hue as Darknet does; BGR -> RGB."""
     exposure, saturation = (
         float(limit ** rng.uniform(-1, 1)) for limit in (how.exposure, how.saturation)
@@ -159,8 +181,8 @@ def _recolour(
 class Batches(Sampler[list[tuple[int, int, float]]]):
     """What each batch from iteration `start` to `stop` consists of; depends on `seed` only.
 
-    Every picture is used once before any is used again. With `share` (rank, count), every count-th
-    picture of each batch from the rank-th on.
+    Every image is used once before any is used again. With `share` (rank, count), every count-th
+    image of each batch from the rank-th on.
     """
 
     def __init__(
@@ -208,3 +230,9 @@ def collate(samples: Sequence[Sample]) -> tuple[Tensor, Tensor]:
         for number, (_, boxes) in enumerate(samples)
     ]
     return images, torch.cat(truths)
+
+
+def quiet_worker(_: int) -> None:
+    """Have one of the processes that prepare images compute in one thread."""
+    leave_signals_to_the_first_process()
+    cv2.setNumThreads(1)

@@ -1,4 +1,4 @@
-"""A network tried on labelled images, through the command."""
+"""Networks evaluated on labelled images, through the command."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "obj.data"
 
 
-def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path: Path) -> None:
+def test_the_bundled_model_finds_the_paper_s_droplets(data: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.json"
     result = CliRunner().invoke(app, ["--data", str(data), "--json", str(report)])
     assert result.exit_code == 0, result.output
@@ -46,7 +46,7 @@ def test_the_network_that_ships_finds_the_paper_s_droplets(data: Path, tmp_path:
         (("--backend", "torch", "--precision", "bf16"), "torch bf16"),
     ],
 )
-def test_all_of_the_network_is_tried_unless_another_is_named(
+def test_all_of_the_network_is_evaluated_unless_another_is_named(
     options: tuple[str, ...], engine: str, data: Path, tmp_path: Path
 ) -> None:
     if "torch" in options:
@@ -62,13 +62,13 @@ def test_all_of_the_network_is_tried_unless_another_is_named(
 
 def test_dark_droplets_are_found_as_bright_ones_of_the_negative(data: Path, tmp_path: Path) -> None:
     folder = shutil.copytree(data.parent, tmp_path / "dark")
-    pictures = read_data_file(folder / "obj.data")
-    for path in pictures.valid:
+    dark = read_data_file(folder / "obj.data")
+    for path in dark.valid:
         cv2.imwrite(str(path), 255 - read_image(path))
     found = {}
     for options in ((), ("--dark",)):
         report = tmp_path / f"report{len(options)}.json"
-        arguments = ["--data", str(pictures.path), "--json", str(report), *options]
+        arguments = ["--data", str(dark.path), "--json", str(report), *options]
         assert CliRunner().invoke(app, arguments).exit_code == 0
         found[options] = json.loads(report.read_text())["summary"]["map_50"]
     assert found["--dark",] > 0.99
@@ -76,11 +76,11 @@ def test_dark_droplets_are_found_as_bright_ones_of_the_negative(data: Path, tmp_
 
 
 def test_scenes_are_read_back_as_they_take_turns(data: Path) -> None:
-    pictures = read_data_file(data)
-    scenes = read_scenes(pictures)
-    assert [scenes[image] for image in pictures.valid] == list(20 * "ab")
+    listed = read_data_file(data)
+    scenes = read_scenes(listed)
+    assert [scenes[image] for image in listed.valid] == list(20 * "ab")
     (data.parent / "scenes.txt").rename(data.parent / "away.txt")
-    assert read_scenes(pictures) == {}
+    assert read_scenes(listed) == {}
     (data.parent / "away.txt").rename(data.parent / "scenes.txt")
 
 
@@ -88,6 +88,6 @@ def test_half_a_question_is_refused(data: Path, tmp_path: Path) -> None:
     for arguments in ([], [str(tmp_path / "truth.csv")], ["--weights", "x.weights"]):
         result = CliRunner().invoke(app, arguments)
         assert result.exit_code == 1
-        assert "give TRUTH.csv and TRAJECTORIES.csv, or --data obj.data" in result.output
+        assert "give GROUND_TRUTH.csv and TRAJECTORIES.csv, or --data obj.data" in result.output
     missing = CliRunner().invoke(app, ["--data", str(data.parent / "no.data")])
     assert "no.data: no such file" in missing.output

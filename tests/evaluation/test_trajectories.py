@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from droptrack.data.trajectories import Trajectories, sorted_trajectories
-from droptrack.evaluate import evaluate, height_of
+from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
+from droptrack.errors import DroptrackError
+from droptrack.evaluation.trajectories import evaluate, height_of
 
 Point = tuple[int, int, float, float]  # frame, identity, x, y
 
@@ -34,7 +35,7 @@ def lane(identity: int, y: float, frames: range, dx: float = 0, dy: float = 0) -
 TEN = range(10)
 
 
-def test_a_copy_of_the_truth_is_perfect() -> None:
+def test_a_copy_of_the_ground_truth_is_perfect() -> None:
     truth = table(lane(1, 50, TEN) + lane(2, 90, TEN))
     summary = evaluate(truth, truth, 100).summary
     assert summary["n_droplets_found_in_every_frame"] == 2
@@ -44,7 +45,7 @@ def test_a_copy_of_the_truth_is_perfect() -> None:
 
 
 def test_errors_are_given_in_every_unit() -> None:
-    """0.3 px to the right and 0.4 px down, droplets of 10 px, picture 200 px high."""
+    """0.3 px to the right and 0.4 px down, droplets of 10 px, image 200 px high."""
     truth, found = table(lane(1, 50, TEN)), table(lane(7, 50, TEN, dx=0.3, dy=0.4))
     report = evaluate(truth, found, 200)
     expected = {
@@ -143,6 +144,18 @@ def test_nothing_found_is_everything_missed_and_errors_are_undefined() -> None:
     assert math.isnan(float(summary["mse_y_px2"]))  # type: ignore[arg-type]
 
 
-def test_height_is_read_from_the_file_that_has_it(tmp_path: Path) -> None:
+def test_files_are_scored_as_what_they_hold_and_say_the_images_height(tmp_path: Path) -> None:
+    truth, found = table(lane(1, 50, TEN)), table(lane(7, 50, TEN, dx=0.3, dy=0.4))
+    write_trajectories(tmp_path / "truth.csv", truth, {"video": "a.avi, 1200 x 200 px, 25 fps"})
+    write_trajectories(tmp_path / "found.csv", found, {})
+    report = evaluate(tmp_path / "truth.csv", str(tmp_path / "found.csv"))
+    assert report.summary["mse_y_heights2"] == pytest.approx(0.16 / 200**2)
+    assert report.summary.keys() == evaluate(truth, found).summary.keys()
+    assert math.isnan(float(evaluate(truth, found).summary["mse_y_heights2"]))  # type: ignore[arg-type]
+    with pytest.raises(DroptrackError, match=r"missing\.csv: no such file"):
+        evaluate(truth, tmp_path / "missing.csv")
+
+
+def test_height_is_read_from_the_file_that_has_it() -> None:
     assert height_of({}, {"video": "a.avi, 1200 x 600 px, 25 frames/s"}) == 600
     assert math.isnan(height_of({}, {}))

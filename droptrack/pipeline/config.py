@@ -1,0 +1,64 @@
+"""What one run is told: the source, the network, the tracker, and where results go."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.tracking.choice import TrackerConfig
+
+MIN_SCORE = 0.4
+MAX_IOU = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingConfig:
+    """How to track the droplets of a video.
+
+    `video`: a file, a folder of images, the index of a camera, or the address of a stream. `out`:
+    the folder for the results, default ``tracks/<the video's name>``. `weights`, `cfg` and `size`:
+    the network, see `network.bundled.find_network`. `live`: always take the newest frame and drop
+    others; default for cameras and streams. `score`: the minimum score of a droplet. `max_iou`:
+    the IoU above which two boxes are one droplet. `dark`: droplets are darker than their
+    surroundings. `batch`: frames that the network takes at once. `max_frames`: stop after so many;
+    0: never.
+    """
+
+    video: str
+    out: Path | None = None
+    weights: Path | None = None
+    cfg: Path | None = None
+    size: str | None = None
+    backend: Backend = Backend.auto
+    precision: Precision = Precision.auto
+    live: bool | None = None
+    score: float = MIN_SCORE
+    max_iou: float = MAX_IOU
+    dark: bool = False
+    batch: int = 1
+    max_frames: int = 0
+    annotated_video: bool = True
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+
+    @property
+    def folder(self) -> Path:
+        """The folder for the results."""
+        return self.out or Path("tracks") / (Path(self.video).stem or "camera")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectionsConfig:
+    """How to track detections that some other program found.
+
+    `detections`: a file in the format of the MOT Challenge. `descriptors`: an .npy file with the
+    appearance descriptor (D,) of each of its rows. `out`: as `TrackingConfig` has it.
+    """
+
+    detections: Path
+    descriptors: Path | None = None
+    out: Path | None = None
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+
+    @property
+    def folder(self) -> Path:
+        """The folder for the results."""
+        return self.out or Path("tracks") / self.detections.stem

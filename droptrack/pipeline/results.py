@@ -1,0 +1,107 @@
+"""What one run writes: rows, annotated video, plots and report."""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from droptrack.data.frames import Frame
+from droptrack.data.report import Report, Value
+from droptrack.data.stage_times import StageTimes
+from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
+from droptrack.pipeline.paths import Paths
+from droptrack.pipeline.threads import AnnotatedVideo
+from droptrack.tracking.recorder import Recorded, Recorder
+from droptrack.tracking.smoothing import COLUMNS as SMOOTHED
+from droptrack.tracking.smoothing import Smoother
+
+FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
+AT_ONCE = 10  # frames; one by one they take half as long again
+
+
+@dataclass
+class Results:
+    """The files that tracking writes, filled frame by frame, and what is counted meanwhile."""
+
+    rows: TrajectoryWriter
+    video: AnnotatedVideo | None = None
+    times: StageTimes = field(default_factory=StageTimes)
+    n_frames: int = 0
+    n_dropped: int = 0  # frames of a live source that came while others were at work
+    n_measured: int = 0  # detections whose centre of mass could be measured
+    n_detections: int = 0
+    slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
+    paths: Paths = field(default_factory=Paths)
+    _late: deque[tuple[int, Frame]] = field(default_factory=deque)
+    _smoother: Smoother = field(default_factory=Smoother)
+
+    def take_final(self, recorder: Recorder) -> None:
+        """Write rows that are final, those of some frames together, once they are smoothed."""
+        if self.n_frames % AT_ONCE == 0:
+            with self.times.measure("write"):
+                self._write(self._smoother.add(recorder.take_final()))
+
+    def take_rest(self, recorder: Recorder, *, unconfirmed: bool) -> None:
+        """Write all that is left, see `Recorder.take_rest`."""
+        with self.times.measure("write"):
+            self._write(self._smoother.add(recorder.take_rest(unconfirmed=unconfirmed)))
+            self._write(self._smoother.rest())
+
+    def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
+        for recorded, columns in smoothed:
+            rows = recorded.rows
+            extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *columns.T)
+            self.rows.write(rows, extra)
+            self.paths.add(rows)
+
+    def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
+        """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
+        if self.video is None:
+            return
+        self._late.append((index, frame))
+        if len(self._late) > delay:
+            self._show_next(recorder)
+
+    def show_rest(self, recorder: Recorder) -> None:
+        """Write the annotated frames that are left."""
+        while self._late:
+            self._show_next(recorder)
+
+    def _show_next(self, recorder: Recorder) -> None:
+        assert self.video is not None
+        index, frame = self._late.popleft()
+        self.video.write(index, frame, list(recorder.rows_of(index)))
+
+
+def summarise(
+    results: Results, settings: dict[str, Value], n_missing: int, seconds: float
+) -> Report:
+    """One row a droplet: when and how far it went.
+
+    `n_missing` frames could not be decoded; `seconds` are those of the whole.
+    """
+    droplets = results.paths.table()
+    summary: dict[str, Value] = {
+        "n_frames": results.n_frames,
+        "n_droplets": len(droplets),
+        "n_detections": results.n_detections,
+        "n_centres_of_mass_measured": results.n_measured,
+        "n_frames_missing": n_missing,
+        "n_frames_dropped": results.n_dropped,
+        "slowest_frame_s": results.slowest,
+        "seconds": seconds,
+        "frames_per_second": results.n_frames / seconds,
+        **results.times.milliseconds_a_frame(results.n_frames),
+    }
+    return Report("Droplets", settings, summary, droplets)
+
+
+def write_report(folder: Path, report: Report, paths: Paths, size: tuple[int, int]) -> None:
+    """Write ``report.json``, and the plot ``paths.png`` of an image of `size` px."""
+    from droptrack.pipeline.plots import plot_paths
+
+    report.write_json(folder / "report.json")
+    plot_paths(folder / "paths.png", paths.lines(), *size)

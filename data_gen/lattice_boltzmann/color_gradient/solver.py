@@ -64,7 +64,7 @@ class Solver:
         solid = solid_nodes(params)
         self._links = wall_links(solid)
         self._fluid = np.where(solid, 0.0, 1.0)
-        self._push = wall_push(params)
+        self._push = wall_push(params).copy()  # writable, as the kernels take arrays
         shape = (params.height + 2, params.width + 2)
         self._post, self._q_e = np.zeros((9, *shape)), np.zeros((2, *shape))
 
@@ -107,8 +107,13 @@ class Solver:
             spans, spans_new = spans_new, spans
             e_spans, e_spans_new = e_spans_new, e_spans
         inner = (slice(1, -1), slice(1, -1))
-        fields = e[inner].copy(), labels[(slice(None), *inner)].copy()
-        self._state = cg.State(s.f, *fields, s.origins, s.step + steps)
+        self._state = cg.State(
+            f=s.f,
+            emulsion=e[inner].copy(),
+            labels=labels[(slice(None), *inner)].copy(),
+            origins=s.origins,
+            step=s.step + steps,
+        )
 
     def _e_spans(self) -> NDArray[np.int64]:
         """Spans of where the emulsion or any droplet is, (H + 2, 2)."""

@@ -30,7 +30,7 @@ from droptrack.pipeline.threads import side_by_side
 from droptrack.progress import with_progress
 from droptrack.tracking.appearance import describe_nothing
 from droptrack.tracking.choice import TrackerConfig, make_tracker
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.session import TrackingSession
 
 app = new_app()
 console = Console()
@@ -73,7 +73,7 @@ def stages(
         detector = choose_detector(Network(*find_network(), MIN_SCORE, MAX_IOU))
         engine = detector.engine
         tracker, _ = make_tracker(TrackerConfig())
-        recorder = Recorder(tracker.delay + tracker.max_age)
+        session = TrackingSession(tracker)
         source = Video(str(folder / "video.avi")).numbered()
         # the first of each is slower
         detector.detect([next(source)[1]])
@@ -90,14 +90,13 @@ def stages(
                 with measure("decode boxes"):
                     (chosen,) = engine.rows(outputs)
                     found = select(chosen, frame.shape[1], frame.shape[0], MIN_SCORE, MAX_IOU)
-                with measure("track"):
-                    update = tracker.update(found.boxes, describe_nothing(frame, found.boxes))
                 with measure("centres of mass"):
                     centres, measured = centres_of_mass(frame, found.boxes)
+                with measure("track"):
+                    descriptors = describe_nothing(frame, found.boxes)
+                    final = session.add(index, found, centres, measured, descriptors)
                 with measure("write"):
-                    recorder.add(index, found, centres, measured, update)
-                    results.n_frames += 1
-                    results.take_final(recorder)
+                    results.write(final)
     title = f"1200 x 600 px, {DROPLETS} droplets, {engine.name}"
     table = Table("stage", "ms a frame", "%", title=title)
     for stage, seconds in spent.items():

@@ -1,6 +1,5 @@
 """Score trackers on the motions of `data_gen.videos.motions` with TrackEval's metrics."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,13 +11,14 @@ from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories
 from droptrack.evaluation.trajectory_scores import match
 from droptrack.tracking.appearance import describe_sizes
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.recorder import concatenated
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Tracker
 
 QUIET = {"PRINT_CONFIG": False}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Score:
     """MOTA, IDF1 and HOTA from 0 to 1; switches per 1,000 droplet-frames; errors in diameters."""
 
@@ -28,24 +28,20 @@ class Score:
     switches: int
     switches_per_1000: float
     position_rms: float  # of matched positions
-    milliseconds: float  # a frame, the tracker alone, median
 
 
-def follow(tracker: Tracker, frames: Sequence[Detections]) -> tuple[Trajectories, float]:
-    """The rows of a tracker, and the median milliseconds it takes for a frame."""
-    recorder = Recorder(tracker.delay + tracker.max_age)
-    times = []
-    for index, found in enumerate(frames):
-        looks = describe_sizes(found.boxes)
-        start = time.perf_counter()
-        update = tracker.update(found.boxes, looks)
-        times.append(1e3 * (time.perf_counter() - start))
-        recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
-    return recorder.take_rest(unconfirmed=False).rows, float(np.median(times))
+def track(tracker: Tracker, frames: Sequence[Detections]) -> Trajectories:
+    """The rows of a tracker that sees the sizes of boxes."""
+    session = TrackingSession(tracker)
+    parts = [
+        session.add_boxes(index, found, describe_sizes(found.boxes))
+        for index, found in enumerate(frames)
+    ]
+    return concatenated([*parts, session.finish()]).rows
 
 
-def score(truth: Trajectories, result: Trajectories, milliseconds: float = np.nan) -> Score:
-    """Compare with the truth; two are the same within half a diameter of the true droplet.
+def score(truth: Trajectories, result: Trajectories) -> Score:
+    """Compare with ground truth; two are the same within half a diameter of the true droplet.
 
     TrackEval takes similarities and matches from 0.5 on: 1 - distance / diameter.
     """
@@ -63,7 +59,6 @@ def score(truth: Trajectories, result: Trajectories, milliseconds: float = np.na
         switches=int(clear["IDSW"]),
         switches_per_1000=1000 * float(clear["IDSW"]) / len(truth),
         position_rms=float(np.sqrt(squares.mean())) if len(squares) else np.nan,
-        milliseconds=milliseconds,
     )
 
 

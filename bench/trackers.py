@@ -1,4 +1,4 @@
-"""How well and how fast droplets are followed, ``python -m bench.trackers``, or one command of it.
+"""How well and how fast droplets are tracked, ``python -m bench.trackers``, or one command of it.
 
 The tables of docs/tracking.md. The motions are those of `data_gen.videos.motions`, seed 0.
 """
@@ -6,25 +6,28 @@ The tables of docs/tracking.md. The motions are those of `data_gen.videos.motion
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from bench.track_scores import Score, follow, score
+from bench.track_scores import Score, score, track
 from data_gen.videos.motions import MOTIONS, Kind, Motion, make
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.detections import Detections
-from droptrack.tracking.deepsort import Parameters
-from droptrack.tracking.deepsort import Tracker as DeepSort
-from droptrack.tracking.droplet_tracker import DropletParameters, DropletTracker
+from droptrack.tracking.choice import APPEARANCE_COST
+from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
+from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.tracker import DropletTracker
 from droptrack.tracking.tracker import Tracker
 
 app = new_app()
 Action = Callable[[Detections, NDArray[np.float64]], object]
-LENGTH = 128  # of the descriptors in the speed table, as DeepSORT's
+# of the speed table
+LENGTH = 128  # of the descriptors, as DeepSORT's
+SIZES = ((50, 20), (500, 16), (1000, 11))  # droplets, about, and their diameters in px
+WARM_UP = 5  # frames that do not count
 PARTS = {
     "everything": DropletParameters(),
     "no flow": DropletParameters(flow=False),
@@ -32,7 +35,7 @@ PARTS = {
     "greedy": DropletParameters(jointly=False),
     "one way": DropletParameters(both_ways=False),
     "noise fixed": DropletParameters(learn_noise=False),
-    "second boxes kept": DropletParameters(second_boxes=False),
+    "duplicates kept": DropletParameters(duplicates=False),
 }
 HARD = ("uniform 1.5", "shear 2", "filled", "missing 30%", "false 20%", "jitter 10%", "jitter 20%",
         "missing 10% false 5%")  # fmt: skip
@@ -41,7 +44,7 @@ HARD = ("uniform 1.5", "shear 2", "filled", "missing 30%", "false 20%", "jitter 
 def judge(tracker: Tracker, motion: Motion) -> Score:
     """One tracker on one motion."""
     truth, frames = make(motion, 0)
-    return score(truth, *follow(tracker, frames))
+    return score(truth, track(tracker, frames))
 
 
 @app.command()
@@ -57,7 +60,7 @@ def scores(
     for name in names or MOTIONS:
         for label, tracker in (
             ("droplet", DropletTracker(DropletParameters())),
-            ("deepsort", DeepSort(Parameters())),
+            ("deepsort", DeepSortTracker(DeepSortParameters())),
         ):
             s = judge(tracker, MOTIONS[name])
             typer.echo(
@@ -80,8 +83,8 @@ def parts() -> None:
 def ours(tracker: Tracker) -> Action:
     """One frame through a tracker."""
 
-    def update(found: Detections, looks: NDArray[np.float64]) -> object:
-        return tracker.update(found.boxes, looks)
+    def update(found: Detections, descriptors: NDArray[np.float64]) -> object:
+        return tracker.update(found.boxes, descriptors)
 
     return update
 
@@ -94,9 +97,10 @@ def deep_sort_realtime() -> Action | None:
         return None
     tracker: Any = Realtime(embedder=None, nn_budget=100)
 
-    def update(found: Detections, looks: NDArray[np.float64]) -> object:
+    def update(found: Detections, descriptors: NDArray[np.float64]) -> object:
         corners = np.hstack([found.boxes[:, :2] - found.boxes[:, 2:] / 2, found.boxes[:, 2:]])
-        return tracker.update_tracks([(c, 1.0, "droplet") for c in corners.tolist()], list(looks))
+        boxes = [(c, 1.0, "droplet") for c in corners.tolist()]
+        return tracker.update_tracks(boxes, list(descriptors))
 
     return update
 
@@ -108,31 +112,35 @@ def speed(frames: int = 40) -> None:
     rng = np.random.default_rng(0)
     typer.echo("| droplets | droplet | with descriptors | deepsort | deep-sort-realtime | ratio |")
     typer.echo("| --- | --- | --- | --- | --- | --- |")
-    for n, diameter in ((50, 20), (500, 16), (1000, 11)):
-        motion = Motion(Kind.vortices, droplets=int(n * 1.25), diameter=diameter, frames=frames)
-        truth, found = make(replace(motion, jitter=0.01), 0)
+    for n, diameter in SIZES:
+        motion = Motion(
+            kind=Kind.vortices,
+            droplets=int(n * 1.25),
+            diameter=diameter,
+            frames=frames,
+            jitter=0.01,
+        )
+        truth, found = make(motion, 0)
         actions = {
             "droplet": ours(DropletTracker(DropletParameters())),
-            "looking": ours(DropletTracker(DropletParameters(appearance=10.0))),
-            "deepsort": ours(DeepSort(Parameters())),
+            "with descriptors": ours(DropletTracker(DropletParameters(appearance=APPEARANCE_COST))),
+            "deepsort": ours(DeepSortTracker(DeepSortParameters())),
         }
         if (realtime := deep_sort_realtime()) is not None:
             actions["realtime"] = realtime
         times: dict[str, list[float]] = {name: [] for name in actions}
         for detections in found:
-            looks = rng.normal(0, 1, (len(detections), LENGTH)) + 1
-            looks /= np.linalg.norm(looks, axis=1, keepdims=True)
+            descriptors = rng.normal(0, 1, (len(detections), LENGTH)) + 1
+            descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
             for name, action in actions.items():
                 start = time.process_time()
-                action(detections, looks)
+                action(detections, descriptors)
                 times[name].append(1e3 * (time.process_time() - start))
-        ms = {name: statistics.median(values[5:]) for name, values in times.items()}
-        last = [ms.get("realtime", float("nan")), ms.get("realtime", float("nan")) / ms["looking"]]
-        cells = [f"{ms[name]:.2f}" for name in ("droplet", "looking", "deepsort")]
+        ms = {name: statistics.median(values[WARM_UP:]) for name, values in times.items()}
+        theirs = ms.get("realtime", float("nan"))
         typer.echo(
-            f"| {len(truth) // frames} | "
-            + " | ".join(cells)
-            + f" | {last[0]:.1f} | {last[1]:.0f} |"
+            f"| {len(truth) // frames} | {ms['droplet']:.2f} | {ms['with descriptors']:.2f} "
+            f"| {ms['deepsort']:.2f} | {theirs:.1f} | {theirs / ms['with descriptors']:.0f} |"
         )
 
 

@@ -20,7 +20,7 @@ from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, writ
 from droptrack.pipeline.run import Say, TrackingRun, to_stderr
 from droptrack.tracking.appearance import describe_sizes
 from droptrack.tracking.choice import make_tracker
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
 
@@ -61,22 +61,19 @@ def track_detections(
     `frames`: detections and their rows, as `mot_files.DetectionFile` gives them. `descriptors_of`
     gives the unit descriptors of rows; without, they are the detections' sizes.
     """
-    recorder = Recorder(tracker.delay + tracker.max_age)
+    session = TrackingSession(tracker)
     try:
         for index, (found, rows) in enumerate(frames):
             if descriptors_of is None:
                 descriptors = describe_sizes(found.boxes)
             else:
                 descriptors = descriptors_of(rows)
-            update = tracker.update(found.boxes, descriptors)
-            recorder.add(index, found, found.boxes[:, :2], np.zeros(len(found), bool), update)
+            results.write(session.add_boxes(index, found, descriptors))
             results.n_frames += 1
             results.n_detections += len(found)
-            results.take_final(recorder)
             yield results.n_frames
     finally:
-        too_short = results.n_frames < tracker.n_init
-        results.take_rest(recorder, unconfirmed=too_short)
+        results.finish(session.finish())
 
 
 def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRun:

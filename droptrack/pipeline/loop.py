@@ -15,62 +15,52 @@ from droptrack.detection.detector import Detector
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
-from droptrack.tracking.appearance import Describe
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.appearance import DescriptorExtractor
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Tracker
 
 
 class FrameTracker:
-    """Tracks the detections of one frame after the other into `results`.
-
-    Where a number is left out, the droplets moved on in a frame that could not be decoded; in a
-    live source the next frame that is looked at comes next.
-    """
+    """Tracks the detections of one frame after the other into `results`, see `TrackingSession`."""
 
     def __init__(
-        self, tracker: Tracker, describe: Describe, results: Results, *, live: bool = False
+        self,
+        tracker: Tracker,
+        describe: DescriptorExtractor,
+        results: Results,
+        *,
+        live: bool = False,
     ) -> None:
-        self._tracker, self._describe, self._results = tracker, describe, results
-        self._recorder = Recorder(tracker.delay + tracker.max_age)
+        self._session = TrackingSession(tracker, live=live)
+        self._describe, self._results = describe, results
         load_loops()  # now, not while the first frame waits
-        self._live = live
-        self._next: int | None = None
 
     def add(self, item: NumberedFrame, detections: Detections) -> None:
         """Take the next frame's detections."""
-        results, tracker = self._results, self._tracker
+        results, session = self._results, self._session
         index, frame, decoded = item
-        lost = range(index if self._live or self._next is None else self._next, index)
-        self._next = index + 1
         with results.times.measure("track"):
-            for number in lost:
-                self._track(number, frame, detections[:0])
-            results.n_measured += self._track(index, frame, detections)
+            descriptors = self._describe(frame, detections.boxes)
+            centres, measured = centres_of_mass(frame, detections.boxes)
+            final = session.add(index, detections, centres, measured, descriptors)
         results.n_frames += 1
         results.n_detections += len(detections)
+        results.n_measured += int(measured.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)
-        results.show(index, frame, self._recorder, tracker.delay)
-        results.take_final(self._recorder)
-
-    def _track(self, index: int, frame: Frame, detections: Detections) -> int:
-        """Track and record; returns for how many droplets a centre of mass was measured."""
-        update = self._tracker.update(detections.boxes, self._describe(frame, detections.boxes))
-        centres, measured = centres_of_mass(frame, detections.boxes)
-        self._recorder.add(index, detections, centres, measured, update)
-        return int(measured.sum())
+        results.show(index, frame, session)
+        results.write(final)
 
     def finish(self) -> None:
         """Write what was held back."""
-        self._results.show_rest(self._recorder)
-        too_short = self._results.n_frames < self._tracker.n_init  # for any to be confirmed
-        self._results.take_rest(self._recorder, unconfirmed=too_short)
+        self._results.show_rest(self._session)
+        self._results.finish(self._session.finish())
 
 
 def track_frames(
     frames: Iterable[tuple[int, Frame]],
     detector: Detector,
     tracker: Tracker,
-    describe: Describe,
+    describe: DescriptorExtractor,
     results: Results,
     *,
     batch: int = 1,

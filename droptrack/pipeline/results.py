@@ -14,12 +14,12 @@ from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.pipeline.paths import Paths
 from droptrack.pipeline.threads import AnnotatedVideo
-from droptrack.tracking.recorder import Recorded, Recorder
+from droptrack.tracking.recorder import Recorded
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.smoothing import COLUMNS as SMOOTHED
 from droptrack.tracking.smoothing import Smoother
 
 FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
-AT_ONCE = 10  # frames; one by one they take half as long again
 
 
 @dataclass
@@ -38,16 +38,15 @@ class Results:
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
     _smoother: Smoother = field(default_factory=Smoother)
 
-    def take_final(self, recorder: Recorder) -> None:
-        """Write rows that are final, those of some frames together, once they are smoothed."""
-        if self.n_frames % AT_ONCE == 0:
-            with self.times.measure("write"):
-                self._write(self._smoother.add(recorder.take_final()))
-
-    def take_rest(self, recorder: Recorder, *, unconfirmed: bool) -> None:
-        """Write all that is left, see `Recorder.take_rest`."""
+    def write(self, final: Recorded) -> None:
+        """Write final rows, once they are smoothed."""
         with self.times.measure("write"):
-            self._write(self._smoother.add(recorder.take_rest(unconfirmed=unconfirmed)))
+            self._write(self._smoother.add(final))
+
+    def finish(self, rest: Recorded) -> None:
+        """Write the rows that are left, and those that are being smoothed."""
+        with self.times.measure("write"):
+            self._write(self._smoother.add(rest))
             self._write(self._smoother.rest())
 
     def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
@@ -57,23 +56,23 @@ class Results:
             self.rows.write(rows, extra)
             self.paths.add(rows)
 
-    def show(self, index: int, frame: Frame, recorder: Recorder, delay: int) -> None:
-        """Write the annotated frame from `delay` frames ago: by now new tracks are confirmed."""
+    def show(self, index: int, frame: Frame, session: TrackingSession) -> None:
+        """Write the annotated frame from some frames ago: by now new tracks are confirmed."""
         if self.video is None:
             return
         self._late.append((index, frame))
-        if len(self._late) > delay:
-            self._show_next(recorder)
+        if len(self._late) > session.delay:
+            self._show_next(session)
 
-    def show_rest(self, recorder: Recorder) -> None:
+    def show_rest(self, session: TrackingSession) -> None:
         """Write the annotated frames that are left."""
         while self._late:
-            self._show_next(recorder)
+            self._show_next(session)
 
-    def _show_next(self, recorder: Recorder) -> None:
+    def _show_next(self, session: TrackingSession) -> None:
         assert self.video is not None
         index, frame = self._late.popleft()
-        self.video.write(index, frame, list(recorder.rows_of(index)))
+        self.video.write(index, frame, session.rows_of(index))
 
 
 def summarise(

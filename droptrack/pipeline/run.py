@@ -26,7 +26,7 @@ from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.progress import progress_bar
-from droptrack.tracking.appearance import Describe
+from droptrack.tracking.appearance import DescriptorExtractor
 from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
@@ -67,7 +67,7 @@ class _Opened:
     detector: Detector
     tracker: Tracker
     tracker_settings: dict[str, Value]
-    describe: Describe
+    describe: DescriptorExtractor
 
     def n_frames(self, max_frames: int) -> int:
         """Frames that are to come, as far as the container knows; 0 where nobody does."""

@@ -1,25 +1,34 @@
-"""What a droplet looks like, as a unit vector; galleries and their cosine distance.
+"""Appearance descriptors: unit vectors that are near to each other for boxes of one droplet.
 
 DeepSORT describes a crop by a network trained on pedestrians. Here it is what can be seen of a
 droplet: its grey levels on a small grid over the box, and its size.
 """
 
-from collections.abc import Callable
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.data.arrays import Floats, Rows
+from droptrack.data.arrays import Floats
 from droptrack.data.frames import Frame, grey_plane
 
 GRID = 8  # cells a side
 SAMPLES = 2  # samples a side of each cell
-SIZE_SHARE = 0.5  # of the squared length that tells the size
+SIZE_SHARE = 0.5  # of the squared length, for the size
 TURN_PER_E = np.pi  # angle by which a droplet e times as large differs
+MIN_AREA = 1e-6  # px², so that there is a logarithm
+MAX_REMAPPED_ROWS = 32767  # that OpenCV takes at once
 
 
-def describe(frame: NDArray[np.uint8], boxes: Floats) -> Floats:
+class DescriptorExtractor(Protocol):
+    """Gives the unit descriptors (N, D) of boxes (N, 4) in a frame (H, W, 3)."""
+
+    def __call__(self, frame: Frame, boxes: Floats) -> Floats:
+        """Unit descriptors (N, D)."""
+
+
+def describe(frame: Frame, boxes: Floats) -> Floats:
     """Unit descriptors (N, GRID² + 2) of boxes (N, 4) in a frame (H, W, 3).
 
     Outside the frame, its edge is continued, so that any box has a descriptor.
@@ -43,49 +52,28 @@ def describe(frame: NDArray[np.uint8], boxes: Floats) -> Floats:
     return np.hstack([patches * np.sqrt(1 - SIZE_SHARE), size * np.sqrt(SIZE_SHARE)])
 
 
-def describe_nothing(frame: NDArray[np.uint8], boxes: Floats) -> Floats:
-    """Descriptors (N, 0), for trackers that do not look at droplets."""
+def describe_nothing(frame: Frame, boxes: Floats) -> Floats:
+    """Descriptors (N, 0), for trackers that do not compare them."""
     return np.zeros((len(boxes), 0))
 
 
 def describe_sizes(boxes: Floats) -> Floats:
-    """Unit descriptors (N, 2) of boxes (N, 4) by their size alone, where there is no picture."""
-    angle = TURN_PER_E * np.log(np.maximum(boxes[:, 2] * boxes[:, 3], 1e-6)) / 2
+    """Unit descriptors (N, 2) of boxes (N, 4) by their size alone, where there is no image."""
+    angle = TURN_PER_E * np.log(np.maximum(boxes[:, 2] * boxes[:, 3], MIN_AREA)) / 2
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def _sample(
-    frame: NDArray[np.uint8], map_x: NDArray[np.float32], map_y: NDArray[np.float32]
-) -> Floats:
-    """Grey levels at (N, k, k) places; OpenCV's remap takes up to 32767 rows at once."""
+def _sample(frame: Frame, map_x: NDArray[np.float32], map_y: NDArray[np.float32]) -> Floats:
+    """Grey levels at (N, k, k) places."""
     n, k = map_x.shape[:2]
+    at_once = MAX_REMAPPED_ROWS // k
     plane = grey_plane(frame)
     source = frame if plane is None else plane
     parts = []
-    for start in range(0, n, 32767 // k):
-        rows = slice(start, start + 32767 // k)
+    for start in range(0, n, at_once):
+        rows = slice(start, start + at_once)
         at_x, at_y = map_x[rows].reshape(-1, k), map_y[rows].reshape(-1, k)
         parts.append(
             cv2.remap(source, at_x, at_y, cv2.INTER_LINEAR).reshape(len(at_x) // k, k, k, -1)
         )
     return np.asarray(np.concatenate(parts).mean(axis=3), np.float64)
-
-
-def cosine_distances(
-    galleries: list[list[Floats]], descriptors: Floats, rows: Rows, columns: Rows
-) -> Floats:
-    """Smallest cosine distance (P,) of descriptors (M, D) to galleries, N lists of vectors (D,).
-
-    Of pairs: descriptor `columns` to gallery `rows`, which ascend.
-    """
-    distances = np.zeros(len(rows))
-    starts = np.searchsorted(rows, np.arange(len(galleries) + 1))
-    for gallery, start, end in zip(galleries, starts, starts[1:], strict=False):
-        if start < end:
-            likeness = np.array(gallery) @ descriptors[columns[start:end]].T
-            distances[start:end] = 1 - likeness.max(axis=0)
-    return distances
-
-
-# a frame and boxes (N, 4) -> unit descriptors (N, D)
-Describe = Callable[[Frame, NDArray[np.float64]], NDArray[np.float64]]

@@ -1,4 +1,4 @@
-"""What droplets look like to a network of the user's, through OpenCV."""
+"""Appearance descriptors by a network of the user's, run by OpenCV."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,10 +11,11 @@ from droptrack.data.arrays import Floats
 from droptrack.errors import DroptrackError
 
 BATCH = 64  # crops that the network takes at once
+MIN_LENGTH = 1e-12  # of an output that has a direction
 
 
 class NetworkAppearance:
-    """Describes boxes in frames: callable like `appearance.describe`.
+    """Describes boxes by a network: a `DescriptorExtractor`.
 
     `network`: an .onnx file, or a Darknet .cfg whose `weights` are given too. `size`: width and
     height of its input in px. RGB from 0 to 1 goes in; whatever comes out for a crop is its
@@ -50,7 +51,7 @@ class NetworkAppearance:
         return self._describe_crops([frame[y0:y1, x0:x1] for x0, y0, x1, y1 in corners])
 
     def _describe_crops(self, crops: Sequence[NDArray[np.uint8]]) -> Floats:
-        """Run the network; one that takes a single picture gets one after the other."""
+        """Run the network; one that takes a single image gets one after the other."""
         parts: list[Floats] = []
         for start in range(0, len(crops), self._batch):
             some = crops[start : start + self._batch]
@@ -71,4 +72,4 @@ class NetworkAppearance:
             parts.append(out.reshape(len(some), -1))
         table = np.concatenate(parts) if parts else np.zeros((0, 1))
         length = np.linalg.norm(table, axis=1, keepdims=True)
-        return np.asarray(table / np.maximum(length, 1e-12))
+        return np.asarray(table / np.maximum(length, MIN_LENGTH))

@@ -1,4 +1,4 @@
-"""Which detection continues which track: assignment and DeepSORT's matching cascade."""
+"""Sparse assignment: which of the possible pairs of a row and a column are chosen."""
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -7,31 +7,28 @@ from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 from droptrack.data.arrays import Floats, Rows
 
 
-def matching_cascade(
-    rows: Rows, columns: Rows, cost: Floats, max_cost: float, ages: Rows, max_age: int
-) -> tuple[Rows, Rows]:
-    """Assign detections to tracks by the tracks' age, those seen last first (DeepSORT, listing 1).
+def assign_in_order(
+    rows: Rows, columns: Rows, cost: Floats, cost_of_none: float, *, jointly: bool = True
+) -> tuple[Rows, Rows, Floats]:
+    """The pairs that are chosen out of P possible ones, in their order: rows, columns, costs.
 
-    Of P possible pairs of a track and a detection, with their costs; those above `max_cost` are not
-    matched. `ages` (N,): frames since each track was seen, 1 for the frame before this one. Returns
-    the tracks and detections that were matched.
+    By `assign_sparse`, or if not `jointly`, by `assign_greedy`.
     """
-    none = np.zeros(0, np.int64)
-    found = [(none, none)]
-    free = np.ones(columns.max(initial=-1) + 1, bool)
-    for age in np.unique(ages[ages <= max_age]):
-        level = (ages[rows] == age) & free[columns] & (cost <= max_cost)
-        matched = assign_sparse(rows[level], columns[level], cost[level], max_cost + 1e-5)
-        free[matched[1]] = False
-        found.append(matched)
-    tracks, detections = zip(*found, strict=True)
-    return np.concatenate(tracks), np.concatenate(detections)
+    assign = assign_sparse if jointly else assign_greedy
+    chosen, taken = assign(rows, columns, cost, cost_of_none)
+    if len(chosen) == len(rows):  # there was no choice
+        return rows, columns, cost
+    width = int(columns.max()) + 1
+    pairs, wanted = rows * width + columns, np.sort(chosen * width + taken)
+    order = np.argsort(pairs)
+    at = order[np.searchsorted(pairs, wanted, sorter=order)]
+    return rows[at], columns[at], cost[at]
 
 
 def assign_sparse(
     rows: Rows, columns: Rows, cost: Floats, cost_of_none: float
 ) -> tuple[Rows, Rows]:
-    """Pairs with the least total cost out of P possible ones: row, column and cost of each.
+    """Pairs with the smallest total cost out of P possible ones: rows and columns.
 
     Every row left without a column costs `cost_of_none`; pairs must cost less. Only possible pairs
     take time and memory (Jonker & Volgenant 1987, sparse).
@@ -42,8 +39,8 @@ def assign_sparse(
     plain = (np.bincount(rows)[rows] == 1) & (np.bincount(columns)[columns] == 1)
     if plain.all():
         return rows, columns
-    row_ids, row_at = _numbered(rows[~plain])
-    column_ids, column_at = _numbered(columns[~plain])
+    row_ids, row_at = _distinct(rows[~plain])
+    column_ids, column_at = _distinct(columns[~plain])
     n, m = len(row_ids), len(column_ids)
     # each row may also take a column of its own, which stands for none; costs must be positive
     every = np.arange(n)
@@ -60,8 +57,8 @@ def assign_sparse(
     )
 
 
-def _numbered(values: Rows) -> tuple[Rows, Rows]:
-    """Those values that there are, rising, and the place of each value among them.
+def _distinct(values: Rows) -> tuple[Rows, Rows]:
+    """The distinct values, rising, and the place of each value among them.
 
     As `np.unique` with its inverse; of row numbers, counting is faster than sorting.
     """
@@ -69,7 +66,9 @@ def _numbered(values: Rows) -> tuple[Rows, Rows]:
     return np.flatnonzero(there), (np.cumsum(there) - 1)[values]
 
 
-def take_in_turn(rows: Rows, columns: Rows, cost: Floats, cost_of_none: float) -> tuple[Rows, Rows]:
+def assign_greedy(
+    rows: Rows, columns: Rows, cost: Floats, cost_of_none: float
+) -> tuple[Rows, Rows]:
     """Like `assign_sparse`, but greedy: the cheapest pair first, then the next that is free."""
     taken_rows: set[int] = set()
     taken_columns: set[int] = set()

@@ -5,18 +5,21 @@ from enum import StrEnum
 from pathlib import Path
 
 from droptrack.data.report import Value
-from droptrack.tracking import deepsort
-from droptrack.tracking.appearance import Describe, describe, describe_nothing
+from droptrack.tracking.appearance import DescriptorExtractor, describe, describe_nothing
 from droptrack.tracking.appearance_network import NetworkAppearance
-from droptrack.tracking.deepsort import Parameters
-from droptrack.tracking.droplet_tracker import DropletParameters, DropletTracker
+from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
+from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.tracker import DropletTracker
 from droptrack.tracking.tracker import Tracker
 
-APPEARANCE = 10.0  # cost of a cosine distance of one
+APPEARANCE_COST = (
+    10.0  # of a droplet tracker that compares descriptors: cost of a cosine distance of one
+)
+REPORTED_AS = {"duplicates": "second_boxes"}  # names that reports have had from the first
 
 
 class TrackerName(StrEnum):
-    """The trackers there are."""
+    """All trackers."""
 
     droplet = "droplet"
     deepsort = "deepsort"
@@ -28,7 +31,7 @@ class TrackerConfig:
 
     `max_age`: frames that a droplet may be missed; `n_init`: detections that confirm a droplet;
     without, the chosen tracker's own. `max_cosine_distance`, `nn_budget` and `max_iou_distance` are
-    DeepSORT's (`deepsort.Parameters`). `appearance`: a network that tells droplets apart, an .onnx
+    DeepSORT's (`DeepSortParameters`). `appearance`: a network that tells droplets apart, an .onnx
     file or a Darknet .cfg with its `appearance_weights`; `appearance_size`: width and height of its
     input, px.
     """
@@ -36,9 +39,9 @@ class TrackerConfig:
     name: TrackerName = TrackerName.droplet
     max_age: int | None = None
     n_init: int | None = None
-    max_cosine_distance: float = Parameters.max_cosine_distance
-    nn_budget: int = Parameters.nn_budget
-    max_iou_distance: float = Parameters.max_iou_distance
+    max_cosine_distance: float = DeepSortParameters.max_cosine_distance
+    nn_budget: int = DeepSortParameters.nn_budget
+    max_iou_distance: float = DeepSortParameters.max_iou_distance
     appearance: Path | None = None
     appearance_weights: Path | None = None
     appearance_size: tuple[int, int] = (64, 64)
@@ -53,27 +56,28 @@ def make_tracker(
     as DeepSORT always does.
     """
     if config.name is TrackerName.deepsort:
-        parameters = Parameters(
+        parameters = DeepSortParameters(
             max_cosine_distance=config.max_cosine_distance,
             nn_budget=config.nn_budget,
             max_iou_distance=config.max_iou_distance,
-            max_age=config.max_age or Parameters.max_age,
-            n_init=config.n_init or Parameters.n_init,
+            max_age=config.max_age or DeepSortParameters.max_age,
+            n_init=config.n_init or DeepSortParameters.n_init,
         )
-        return deepsort.Tracker(parameters), asdict(parameters)
+        return DeepSortTracker(parameters), asdict(parameters)
     compares = by_descriptors or config.appearance is not None
     own = DropletParameters(
-        appearance=APPEARANCE if compares else 0.0,
+        appearance=APPEARANCE_COST if compares else 0.0,
         max_age=config.max_age or DropletParameters.max_age,
         n_init=config.n_init or DropletParameters.n_init,
     )
-    return DropletTracker(own), asdict(own)
+    settings = {REPORTED_AS.get(name, name): value for name, value in asdict(own).items()}
+    return DropletTracker(own), settings
 
 
-def choose_descriptor(config: TrackerConfig) -> Describe:
-    """What describes droplets for a tracker: a network of the user's, else grey levels and size.
+def choose_descriptor(config: TrackerConfig) -> DescriptorExtractor:
+    """What gives a tracker its descriptors: a network of the user's, else grey levels and size.
 
-    Nothing for the droplet tracker without such a network, which compares no descriptors then.
+    The droplet tracker without such a network gets none: it compares none then.
     """
     if config.appearance is not None:
         size = config.appearance_size

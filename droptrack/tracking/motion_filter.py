@@ -9,58 +9,70 @@ covariance of position and velocity, the variance of the velocity. Accelerations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from droptrack.data.arrays import Floats
-
-Selection = NDArray[np.int64] | NDArray[np.bool_] | slice
+from droptrack.tracking.row_selection import RowSelection, Selection, select
 
 
 @dataclass(frozen=True)
-class Motion:
+class KinematicState:
     """States of N droplets: position (N, 2) px, velocity (N, 2) px a frame, covariance (N, 3)."""
 
     position: Floats
     velocity: Floats
     covariance: Floats
 
-    def __getitem__(self, rows: Selection) -> "Motion":
-        return Motion(self.position[rows], self.velocity[rows], self.covariance[rows])
+    def __getitem__(self, rows: Selection) -> "KinematicState":
+        return KinematicState(
+            select(self.position, rows), select(self.velocity, rows), select(self.covariance, rows)
+        )
 
-    def __setitem__(self, rows: Selection, values: "Motion") -> None:
-        self.position[rows] = values.position
-        self.velocity[rows] = values.velocity
-        self.covariance[rows] = values.covariance
+    def followed_by(self, others: "KinematicState") -> "KinematicState":
+        """Both, these first."""
+        return KinematicState(
+            np.concatenate([self.position, others.position]),
+            np.concatenate([self.velocity, others.velocity]),
+            np.concatenate([self.covariance, others.covariance]),
+        )
+
+    def replaced(self, rows: RowSelection, values: "KinematicState") -> "KinematicState":
+        """With other values in some rows."""
+        return KinematicState(
+            rows.replaced(self.position, values.position),
+            rows.replaced(self.velocity, values.velocity),
+            rows.replaced(self.covariance, values.covariance),
+        )
 
 
 def squares(vectors: Floats) -> Floats:
     """Squared lengths (N,) of vectors (N, 2)."""
-    x, y = vectors.T  # a sum along so short an axis takes longer than all else
+    x, y = vectors[:, 0], vectors[:, 1]  # a sum along so short an axis takes longer than all else
     return np.asarray(x * x + y * y)
 
 
-def predict(state: Motion, acceleration: Floats) -> Motion:
+def predict(state: KinematicState, acceleration: Floats) -> KinematicState:
     """One frame on; `acceleration` (N,): its standard deviation, px a frame²."""
     p, c, v = state.covariance.T
     q = acceleration**2
     spread = np.array([p + 2 * c + v + q / 4, c + v + q / 2, v + q])
-    return Motion(state.position + state.velocity, state.velocity, spread.T)
+    return KinematicState(state.position + state.velocity, state.velocity, spread.T)
 
 
-def update(state: Motion, measured: Floats, noise: Floats) -> Motion:
+def update(state: KinematicState, measured: Floats, noise: Floats) -> KinematicState:
     """Correct predictions with positions (N, 2); `noise` (N,): their standard deviation, px."""
     p, c, v = state.covariance.T
-    innovation = measured - state.position
-    gain_p, gain_v = p / (p + noise**2), c / (p + noise**2)
-    spread = np.array([(1 - gain_p) * p, (1 - gain_p) * c, v - gain_v * c])
-    return Motion(
+    innovation, variance = measured - state.position, p + noise**2
+    gain_p, gain_v = p / variance, c / variance
+    rest = 1 - gain_p
+    spread = np.array([rest * p, rest * c, v - gain_v * c])
+    return KinematicState(
         state.position + gain_p[:, None] * innovation,
         state.velocity + gain_v[:, None] * innovation,
         spread.T,
     )
 
 
-def jump(state: Motion, measured: Floats) -> Motion:
+def jump(state: KinematicState, measured: Floats) -> KinematicState:
     """Correct predictions with positions (N, 2) much too far off, as likely wrong as right.
 
     Mean and covariance of both cases: nothing was measured, or the droplet has jumped there and
@@ -68,10 +80,12 @@ def jump(state: Motion, measured: Floats) -> Motion:
     """
     half = (measured - state.position) / 2
     between = (half**2).sum(axis=1, keepdims=True) / 2  # a coordinate
-    return Motion(state.position + half, state.velocity + half, state.covariance + between)
+    return KinematicState(state.position + half, state.velocity + half, state.covariance + between)
 
 
-def smooth(filtered: Motion, predicted: Motion, later: Motion) -> Motion:
+def smooth(
+    filtered: KinematicState, predicted: KinematicState, later: KinematicState
+) -> KinematicState:
     """One step back of Rauch, Tung & Striebel (1965).
 
     `filtered`: the states of a frame; `predicted`: those that the filter expected for the next
@@ -95,7 +109,7 @@ def smooth(filtered: Motion, predicted: Motion, later: Motion) -> Motion:
             v + g10 * g10 * dp + 2 * g10 * g11 * dc + g11 * g11 * dw,
         ]
     )
-    return Motion(
+    return KinematicState(
         filtered.position + g00[:, None] * dx + g01[:, None] * dv,
         filtered.velocity + g10[:, None] * dx + g11[:, None] * dv,
         spread.T,

@@ -1,52 +1,31 @@
-"""How fast a droplet probably moves that has not been seen to move: as its neighbours do.
+"""Velocities of droplets that were seen only once, estimated from their neighbours.
 
 From neighbours whose velocity is known, or, where none is, from the pattern: the displacement with
 which a droplet and its neighbours all fall on droplets of the next frame (the relaxation method of
 particle tracking velocimetry, Baek & Lee 1996).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Floats, Rows
+from droptrack.tracking.nearest import nearest
 
 NEIGHBOURS = 6
-FEWEST = 3  # neighbours that make a flow
+MIN_NEIGHBOURS = 3  # that make a flow
 REACH = 6.0  # diameters within which droplets are neighbours
+WEIGHT_LENGTH = 3.0  # diameters, standard deviation of the weight of a neighbour's velocity
+MIN_WEIGHT = 1e-300  # so that there is a quotient
 CANDIDATES = 24  # places in the next frame that a droplet may have moved to
-MATCH = 0.12  # diameters by which a neighbour may deviate from the pattern,
-MATCH_OF_STEP = 0.06  # and of the displacement's length
-FEW_PAIRS = 6000  # for which a tree of the points takes longer than all their distances
-CHUNK = 2000  # droplets whose candidates are judged at once
-
-
-def nearest(tree: cKDTree, points: Floats, k: int, reach: float = np.inf) -> tuple[Floats, Rows]:
-    """Distances (N, k) and rows (N, k) of the k points of a tree that are nearest to points.
-
-    What is not nearer than `reach` has an infinite distance and no row, but takes no time.
-    """
-    distance, rows = tree.query(points, range(1, k + 1), distance_upper_bound=reach)
-    return np.asarray(distance), np.asarray(rows, np.int64)
-
-
-def nearest_within(
-    points: Floats, reach: Floats, others: Floats, k: int
-) -> tuple[Rows, Rows, Floats]:
-    """Pairs of points (N, 2) and the k nearest others (M, 2) within `reach` (N,); none below 0.
-
-    Rows of points, rising, rows of others, and distances (P,) of each pair.
-    """
-    if len(points) * len(others) <= FEW_PAIRS:
-        x, y = points[:, :1] - others[:, 0], points[:, 1:] - others[:, 1]
-        square = x * x + y * y
-        near = square <= (reach * np.abs(reach))[:, None]
-        if near.sum(axis=1).max(initial=0) <= k:
-            rows, columns = np.nonzero(near)
-            return rows, columns, np.sqrt(square[rows, columns])
-    k = min(k, len(others))
-    distance, found = nearest(cKDTree(others), points, k, float(reach.max()) * (1 + 1e-9))
-    rows, place = np.nonzero(distance <= reach[:, None])
-    return rows, found[rows, place], distance[rows, place]
+MATCH = 0.12  # diameters by which a neighbour may deviate from the pattern
+MATCH_OF_STEP = 0.06  # the same, of the displacement's length
+STEP_PENALTY = 0.02  # of the share, a diameter: of equal candidates, the shorter is right
+CHUNK = 2000  # droplets whose candidates are weighed at once
+ROUNDS = 3  # of votes
+VOTE_LENGTH = 3 * MATCH  # diameters, standard deviation of displacements that vote for another
+COMMON_WEIGHT = 0.3  # of the median displacement, in votes
 
 
 def velocity_of_neighbours(
@@ -55,79 +34,96 @@ def velocity_of_neighbours(
     """Mean velocity (N, 2) of the known droplets around points (N, 2), and its variance (N,).
 
     `known` (K, 2): positions of droplets with velocities (K, 2). Infinite variance where fewer than
-    three are near.
+    MIN_NEIGHBOURS are near.
     """
     n = len(points)
-    if len(known) < FEWEST:
+    if len(known) < MIN_NEIGHBOURS:
         return np.zeros((n, 2)), np.full(n, np.inf)
     k = min(NEIGHBOURS, len(known))
     distance, rows = nearest(cKDTree(known), points, k)
     near = distance < REACH * diameters[:, None]
-    weight = np.where(near, np.exp(-((distance / (3 * diameters[:, None])) ** 2) / 2), 0)
-    total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+    length = WEIGHT_LENGTH * diameters[:, None]
+    weight = np.where(near, np.exp(-((distance / length) ** 2) / 2), 0)
+    total = np.maximum(weight.sum(axis=1, keepdims=True), MIN_WEIGHT)
     around = velocities[np.where(near, rows, 0)]  # (N, k, 2)
     mean = (weight[..., None] * around).sum(axis=1) / total
     spread = (weight * ((around - mean[:, None]) ** 2).sum(axis=2)).sum(axis=1) / total[:, 0]
-    return mean, np.where(near.sum(axis=1) >= FEWEST, spread / 2, np.inf)
+    return mean, np.where(near.sum(axis=1) >= MIN_NEIGHBOURS, spread / 2, np.inf)
+
+
+class _Candidates(NamedTuple):
+    """Displacements that R droplets may have made, and their neighbours before."""
+
+    steps: Floats  # (R, C, 2)
+    share: Floats  # (R, C) of the neighbours that follow
+    neighbours: Rows  # (R, k), the nearest first
+
+    def chosen(self, best: Rows) -> tuple[Floats, Floats]:
+        """The displacements (R, 2) and shares (R,) of one candidate (R,) of each droplet."""
+        rows = np.arange(len(best))
+        return self.steps[rows, best], self.share[rows, best]
 
 
 def displacement_of_pattern(
     points: Floats, diameters: Floats, rows: Rows, following: Floats, reach: float
 ) -> tuple[Floats, Floats]:
-    """Displacements (R, 2) of some of the points (N, 2), told by them and their neighbours.
+    """Displacements (R, 2) of some of the points (N, 2), by them and their neighbours.
 
     `rows` (R,): which points; `following` (M, 2): where droplets are in the next frame; `reach`:
     the longest displacement in diameters. Also returns (R,) the share of neighbours that follow.
     """
     n = len(rows)
-    if not n or len(points) <= FEWEST or not len(following):
+    if not n or len(points) <= MIN_NEIGHBOURS or not len(following):
         return np.zeros((n, 2)), np.zeros(n)
     now, then = cKDTree(points), cKDTree(following)
-    steps = np.zeros((n, CANDIDATES, 2))
-    support = np.zeros((n, CANDIDATES))
-    neighbours = np.zeros((n, min(NEIGHBOURS + 1, len(points))), np.int64)
-    for start in range(0, n, CHUNK):
-        part = slice(start, start + CHUNK)
-        steps[part], support[part], neighbours[part] = _support(
-            points, diameters, rows[part], now, then, reach
-        )
-    best = support.argmax(axis=1)
-    chosen = np.zeros_like(points)
-    chosen[rows] = steps[np.arange(n), best]
-    trusted = np.zeros(len(points))
-    trusted[rows] = support[np.arange(n), best]
-    # where candidates fit alike, as on a lattice, the neighbours' and everybody's choices tell
-    for _ in range(3):
-        around = chosen[neighbours[:, 1:]]  # (R, k, 2)
-        width = (3 * MATCH * diameters[rows])[:, None, None] ** 2
-        apart = ((steps[:, :, None] - around[:, None]) ** 2).sum(axis=3)
-        votes = np.exp(-apart / (2 * width)) * trusted[neighbours[:, 1:]][:, None]
+    parts = [
+        _candidates(points, diameters, rows[start : start + CHUNK], now, then, reach)
+        for start in range(0, n, CHUNK)
+    ]
+    found = _Candidates(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return found.chosen(_vote(found, rows, len(points), diameters[rows]))
+
+
+def _vote(found: _Candidates, rows: Rows, n: int, diameters: Floats) -> Rows:
+    """The best candidate (R,) of each droplet.
+
+    Where candidates fit equally, as on a lattice, those win that the neighbours and most others
+    choose. `n`: all points, of which `rows` (R,) have candidates; `diameters` (R,).
+    """
+    best = found.share.argmax(axis=1)
+    chosen, trusted = np.zeros((n, 2)), np.zeros(n)
+    chosen[rows], trusted[rows] = found.chosen(best)
+    others = found.neighbours[:, 1:]  # the first is the droplet itself
+    for _ in range(ROUNDS):
+        around = chosen[others]  # (R, k, 2)
+        width = (VOTE_LENGTH * diameters)[:, None, None] ** 2
+        apart = ((found.steps[:, :, None] - around[:, None]) ** 2).sum(axis=3)
+        votes = np.exp(-apart / (2 * width)) * trusted[others][:, None]
         common = np.median(chosen[rows], axis=0)
-        all_of_it = np.exp(-((steps - common) ** 2).sum(axis=2) / (2 * width[:, 0]))
-        best = (support * (1 + votes.mean(axis=2) + 0.3 * all_of_it)).argmax(axis=1)
-        chosen[rows] = steps[np.arange(n), best]
-    return chosen[rows], support[np.arange(n), best]
+        everybody = np.exp(-((found.steps - common) ** 2).sum(axis=2) / (2 * width[:, 0]))
+        weight = 1 + votes.mean(axis=2) + COMMON_WEIGHT * everybody
+        best = (found.share * weight).argmax(axis=1)
+        chosen[rows], _ = found.chosen(best)
+    return np.asarray(best)
 
 
-def _support(
+def _candidates(
     points: Floats, diameters: Floats, rows: Rows, now: cKDTree, then: cKDTree, reach: float
-) -> tuple[Floats, Floats, Rows]:
-    """Candidates' displacements (R, C, 2), the share of neighbours that follow, the neighbours."""
+) -> _Candidates:
+    """Displacements to the nearest points of the next frame, those out of reach with share 0."""
     n = len(rows)
     here, scale = points[rows], diameters[rows]
     steps = np.zeros((n, CANDIDATES, 2))
-    support = np.zeros((n, CANDIDATES))
+    share = np.zeros((n, CANDIDATES))
     c = min(CANDIDATES, then.n)
     distance, targets = nearest(then, here, c)
     possible = distance <= reach * scale[:, None]
-    following = np.asarray(then.data)
-    steps[:, :c] = following[targets] - here[:, None]
+    steps[:, :c] = np.asarray(then.data)[targets] - here[:, None]
     _, neighbours = nearest(now, here, min(NEIGHBOURS + 1, now.n))
     i, j = np.nonzero(possible)
     expected = points[neighbours[i, 1:]] + steps[i, j][:, None]  # (P, k, 2)
     missed, _ = then.query(expected, 1, distance_upper_bound=float(diameters.max()))
     width = MATCH * scale[i] + MATCH_OF_STEP * distance[i, j]
     fits = np.exp(-((missed / width[:, None]) ** 2) / 2).mean(axis=1)
-    # of equals, the shorter: nobody hurries without a reason
-    support[i, j] = fits * (1 - 0.02 * distance[i, j] / scale[i])
-    return steps, support, neighbours
+    share[i, j] = fits * (1 - STEP_PENALTY * distance[i, j] / scale[i])
+    return _Candidates(steps, share, neighbours)

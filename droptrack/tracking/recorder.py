@@ -1,6 +1,6 @@
-"""What a tracker says frame by frame -> rows of trajectories, once they are final.
+"""A tracker's updates -> rows of trajectories, once they are final.
 
-A tracker knows only later that an early detection belonged to a droplet, or that a droplet was
+A tracker finds only later that an early detection belonged to a droplet, or that a droplet was
 missed for a while and is the same. So rows are held back for a few frames: those of a track's first
 frames are added when it is confirmed, and gaps are bridged when it is seen again.
 """
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from droptrack.data.arrays import Floats
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories, concatenate
 from droptrack.tracking.tracker import Update
 
-Ids = NDArray[np.int64]
-
-NOBODY = 0  # the identity of rows that do not count
+NO_TRACK = 0  # the identity of rows that do not count
+# columns of a row's values; those before are x, y, cx, cy
+WIDTH, HEIGHT, SCORE, MEASURED = 4, 5, 6, 7
+N_COLUMNS = 8
 
 
 class Row(NamedTuple):
@@ -37,7 +37,7 @@ class Row(NamedTuple):
 class _Rows(NamedTuple):
     """Rows of one frame: identities (N,), which may change, and values (N, 8) as of `Row`."""
 
-    ids: Ids
+    ids: Rows
     values: Floats
     observed: bool
 
@@ -47,16 +47,30 @@ class Recorded:
     """M final rows, and whether the position of each (M,) is a measured centre of mass."""
 
     rows: Trajectories
-    measured: NDArray[np.bool_]
+    measured: Bools
 
-    def __getitem__(self, rows: NDArray[np.bool_] | slice) -> "Recorded":
+    def __getitem__(self, rows: Bools | slice) -> "Recorded":
         return Recorded(self.rows[rows], self.measured[rows])
 
 
-def joined(parts: Sequence[Recorded]) -> Recorded:
-    """One after the other."""
+def concatenated(parts: Sequence[Recorded]) -> Recorded:
+    """Rows of later and later frames, one part after the other."""
     measured = np.concatenate([part.measured for part in parts])
     return Recorded(concatenate([part.rows for part in parts]), measured)
+
+
+NO_ROWS = Recorded(
+    Trajectories(
+        frame=np.zeros(0, np.int64),
+        track_id=np.zeros(0, np.int64),
+        x=np.zeros(0),
+        y=np.zeros(0),
+        boxes=np.zeros((0, 4)),
+        scores=np.zeros(0),
+        observed=np.zeros(0, bool),
+    ),
+    np.zeros(0, bool),
+)
 
 
 class Recorder:
@@ -71,20 +85,20 @@ class Recorder:
         self._frames: dict[int, list[_Rows]] = {}
         self._last: dict[int, int] = {}  # the frame in which each living track was last seen
         self._confirmed: set[int] = set()  # all of which there are rows
-        self._ended: deque[tuple[int, int]] = deque()  # frames, and tracks that ended in them
+        self._terminated: deque[tuple[int, int]] = deque()  # frames, and tracks terminated in them
 
     def add(
         self,
         frame: int,
         detections: Detections,
         centres: Floats,
-        measured: NDArray[np.bool_],
+        measured: Bools,
         update: Update,
     ) -> None:
         """Take a frame's M detections, their centres (M, 2), those measured (M,), their tracks."""
         values = np.column_stack([centres, detections.boxes, detections.scores, measured])
-        for young, old in update.joined:
-            self._continue(old, young)
+        for new, old in update.merged:
+            self._merge(old, new)
         self._added.append(frame)
         self._frames[frame] = [_Rows(update.track_ids.copy(), values, observed=True)]
         self._confirmed.update(update.confirmed)
@@ -93,12 +107,12 @@ class Recorder:
             if track_id in self._confirmed:
                 self._bridge(track_id, frame)
         self._last.update(dict.fromkeys(seen, frame))
-        for track_id in update.ended:
+        for track_id in update.terminated:
             self._last.pop(track_id, None)
-            self._ended.append((frame, track_id))
+            self._terminated.append((frame, track_id))
 
     def rows_of(self, frame: int) -> list[Row]:
-        """What is known of a frame now; the last few frames may still get rows."""
+        """The rows of a frame so far; the last few frames may still get more."""
         return [
             Row(track_id, values, rows.observed)
             for rows in self._frames.get(frame, [])
@@ -110,8 +124,8 @@ class Recorder:
         """Rows that later frames cannot change any more; they are handed out once."""
         final = self._added[0] if len(self._added) == self._added.maxlen else 0
         taken = self._take([one for one in self._frames if one < final], self._confirmed)
-        while self._ended and self._ended[0][0] < final:
-            self._confirmed.discard(self._ended.popleft()[1])
+        while self._terminated and self._terminated[0][0] < final:
+            self._confirmed.discard(self._terminated.popleft()[1])
         return taken
 
     def take_rest(self, *, unconfirmed: bool) -> Recorded:
@@ -119,18 +133,18 @@ class Recorder:
         wanted = self._confirmed.union(self._last) if unconfirmed else self._confirmed
         return self._take(list(self._frames), wanted)
 
-    def _continue(self, old: int, young: int) -> None:
-        """Give a track the rows of another; where it has one of its own, the larger box counts."""
-        self._last.pop(young, None)
+    def _merge(self, old: int, new: int) -> None:
+        """Give an old track a new one's rows; where it has its own, the larger box counts."""
+        self._last.pop(new, None)
         for frame in list(self._frames):
-            new, own = self._row_of(young, frame), self._row_of(old, frame)
-            if new is None:
+            added, own = self._row_of(new, frame), self._row_of(old, frame)
+            if added is None:
                 continue
-            rows, place = new
+            rows, place = added
             rows.ids[place] = old
             if own is not None:
-                smaller, at = own if _area(new) > _area(own) else new
-                smaller.ids[at] = NOBODY
+                smaller, at = own if _area(added) > _area(own) else added
+                smaller.ids[at] = NO_TRACK
             elif frame > self._last[old]:
                 self._bridge(old, frame)
                 self._last[old] = frame
@@ -142,7 +156,7 @@ class Recorder:
         for between in range(start + 1, frame):
             share = (between - start) / (frame - start)
             values = (1 - share) * before + share * now
-            values[6:] = 0
+            values[[SCORE, MEASURED]] = 0
             bridge = _Rows(np.array([track_id]), values[None], observed=False)
             self._frames.setdefault(between, []).append(bridge)
 
@@ -162,7 +176,7 @@ class Recorder:
 
     def _take(self, frames: Iterable[int], wanted: set[int]) -> Recorded:
         """Hand out the rows of some tracks."""
-        taken = [(0, _Rows(np.zeros(0, np.int64), np.zeros((0, 8)), observed=True))]
+        taken = [(0, _Rows(np.zeros(0, np.int64), np.zeros((0, N_COLUMNS)), observed=True))]
         taken += [(frame, rows) for frame in frames for rows in self._frames.pop(frame)]
         counts = [len(rows.ids) for _, rows in taken]
         frame = np.repeat([frame for frame, _ in taken], counts)
@@ -172,18 +186,18 @@ class Recorder:
         order = np.lexsort((ids, frame))
         order = order[[track_id in wanted for track_id in ids[order].tolist()]]
         values = values[order]
-        rows = Trajectories(
-            frame[order],
-            ids[order],
-            values[:, 0],
-            values[:, 1],
-            values[:, 2:6],
-            values[:, 6],
-            observed[order],
+        trajectories = Trajectories(
+            frame=frame[order],
+            track_id=ids[order],
+            x=values[:, 0],
+            y=values[:, 1],
+            boxes=values[:, 2:SCORE],
+            scores=values[:, SCORE],
+            observed=observed[order],
         )
-        return Recorded(rows, values[:, 7] > 0)
+        return Recorded(trajectories, values[:, MEASURED] > 0)
 
 
 def _area(row: tuple[_Rows, int]) -> float:
     rows, place = row
-    return float(rows.values[place, 4] * rows.values[place, 5])
+    return float(rows.values[place, WIDTH] * rows.values[place, HEIGHT])

@@ -1,8 +1,8 @@
 """Final rows -> smoothed positions and velocities (Rauch, Tung & Striebel 1965).
 
-The filter of `motion` goes forward frame by frame; every LAG frames the smoother goes back through
-the last 2 LAG frames, and those that have LAG frames after them are done. What comes later than
-that changes nothing that could be seen.
+The filter of `motion_filter` goes forward frame by frame; every LAG frames the smoother goes back
+through the last 2 LAG frames, and those that have LAG frames after them are done. Frames later than
+that would change them by less than a millionth of a pixel.
 """
 
 from collections.abc import Iterator
@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from droptrack.data.arrays import Floats, Rows
-from droptrack.tracking import motion_filter as motion
-from droptrack.tracking.motion_filter import Motion
-from droptrack.tracking.recorder import Recorded, joined
-
-Selection = NDArray[np.int64] | slice
+from droptrack.data.arrays import Bools, Floats, Rows
+from droptrack.tracking import motion_filter
+from droptrack.tracking.motion_filter import KinematicState
+from droptrack.tracking.recorder import Recorded, concatenated
+from droptrack.tracking.row_selection import RowSelection
 
 LAG = 30  # frames
 COLUMNS = ("smooth_x", "smooth_y", "velocity_x", "velocity_y")
@@ -28,17 +26,17 @@ ACCELERATION = 0.03  # a frame²
 FIRST_VELOCITY = 1.0  # a frame
 
 
-@dataclass
+@dataclass(frozen=True, kw_only=True)
 class _Frame:
     """The droplets of one frame, and the filter's states of them."""
 
     number: int
-    ids: NDArray[np.int64]  # (N,)
+    ids: Rows  # (N,)
     diameters: Floats  # (N,) of each droplet when it was first seen
-    filtered: Motion
-    predicted: Motion  # what was expected of them; of droplets new in this frame, nothing
-    mine: Selection  # those that were in the frame just before,
-    theirs: Selection  # and their rows there
+    filtered: KinematicState
+    predicted: KinematicState  # as expected; of droplets new in this frame, nothing is
+    here: RowSelection  # those that were in the frame just before, too
+    before: RowSelection  # the rows that they had there
 
 
 class Smoother:
@@ -71,53 +69,71 @@ class Smoother:
         if self._frames:
             yield self._back(len(self._frames))
 
-    def _filter(
-        self, number: int, ids: NDArray[np.int64], columns: Floats, observed: NDArray[np.bool_]
-    ) -> None:
+    def _filter(self, number: int, ids: Rows, columns: Floats, observed: Bools) -> None:
         """One frame forward; `columns` (N, 4): x, y, diameter px, noise in diameters."""
-        before = self._frames[-1] if self._frames else None
-        mine, theirs = _common(before, number, ids)
-        n, places = len(ids), columns[:, :2]
-        diameters = columns[:, 2].copy()
-        if before is not None:
-            diameters[mine] = before.diameters[theirs]
+        last = self._frames[-1] if self._frames else None
+        here, before = _in_both(last, number, ids)
+        positions, diameters = columns[:, :2], columns[:, 2]
+        if last is not None:
+            diameters = here.replaced(diameters, before.of(last.diameters))
         noise = columns[:, 3] * diameters
-        spread = np.column_stack([noise**2, np.zeros(n), (FIRST_VELOCITY * diameters) ** 2])
-        predicted = Motion(places.copy(), np.zeros((n, 2)), spread)
-        followed = np.zeros(n, bool)
-        if before is not None:
-            acceleration = ACCELERATION * diameters[mine]
-            predicted[mine] = motion.predict(before.filtered[theirs], acceleration)
-            followed[mine] = observed[mine]
-        filtered = motion.update(predicted, places, np.where(followed, noise, np.inf))
-        self._frames.append(_Frame(number, ids, diameters, filtered, predicted, mine, theirs))
+        predicted = _at_rest(positions, diameters, noise)
+        measured = np.zeros(len(ids), bool)  # of new droplets, what is predicted is the position
+        if last is not None:
+            acceleration = ACCELERATION * here.of(diameters)
+            moved = motion_filter.predict(last.filtered[before.rows], acceleration)
+            predicted = predicted.replaced(here, moved)
+            measured = here.replaced(measured, here.of(observed))
+        filtered = motion_filter.update(predicted, positions, np.where(measured, noise, np.inf))
+        self._frames.append(
+            _Frame(
+                number=number,
+                ids=ids,
+                diameters=diameters,
+                filtered=filtered,
+                predicted=predicted,
+                here=here,
+                before=before,
+            )
+        )
 
     def _back(self, n_done: int) -> tuple[Recorded, Floats]:
         """Go back through all frames that are held; hand out the first of them."""
         columns: list[Floats] = []
-        later: Motion | None = None
+        later: KinematicState | None = None  # the smoothed states of the next frame
         for index in range(len(self._frames) - 1, -1, -1):
-            frame = self._frames[index]
-            state = frame.filtered[np.arange(len(frame.ids))]  # a copy
+            state = self._frames[index].filtered
             if later is not None:
                 following = self._frames[index + 1]
-                mine, theirs = following.theirs, following.mine
-                state[mine] = motion.smooth(state[mine], following.predicted[theirs], later[theirs])
+                here, there = following.before, following.here.rows
+                predicted = following.predicted[there]
+                smoothed = motion_filter.smooth(state[here.rows], predicted, later[there])
+                state = state.replaced(here, smoothed)
             later = state
             if index < n_done:
                 columns.append(np.hstack([state.position, state.velocity]))
         del self._frames[:n_done]
-        smoothed, held = np.concatenate(columns[::-1]), joined(self._held)
-        self._held = [held[len(smoothed) :]]
-        return held[: len(smoothed)], smoothed
+        done, held = np.concatenate(columns[::-1]), concatenated(self._held)
+        self._held = [held[len(done) :]]
+        return held[: len(done)], done
 
 
-def _common(before: _Frame | None, number: int, ids: Rows) -> tuple[Selection, Selection]:
+def _at_rest(positions: Floats, diameters: Floats, noise: Floats) -> KinematicState:
+    """N droplets seen for the first time; `noise` (N,): standard deviation of the position, px."""
+    n = len(positions)
+    covariance = np.column_stack([noise**2, np.zeros(n), (FIRST_VELOCITY * diameters) ** 2])
+    return KinematicState(positions, np.zeros((n, 2)), covariance)
+
+
+def _in_both(last: _Frame | None, number: int, ids: Rows) -> tuple[RowSelection, RowSelection]:
     """Rows, here and in the frame just before, of the droplets that are in both."""
-    if before is None or before.number != number - 1:
-        none = np.zeros(0, np.int64)
-        return none, none
-    if np.array_equal(ids, before.ids):
-        return slice(None), slice(None)
-    _, mine, theirs = np.intersect1d(ids, before.ids, assume_unique=True, return_indices=True)
-    return mine.astype(np.int64), theirs.astype(np.int64)
+    ids_before = np.zeros(0, np.int64) if last is None else last.ids
+    rows = rows_before = np.zeros(0, np.int64)
+    if last is not None and last.number == number - 1:
+        if np.array_equal(ids, ids_before):
+            rows = rows_before = np.arange(len(ids))
+        else:
+            _, rows, rows_before = np.intersect1d(
+                ids, ids_before, assume_unique=True, return_indices=True
+            )
+    return RowSelection(rows, len(ids)), RowSelection(rows_before, len(ids_before))

@@ -22,7 +22,7 @@ from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results
 from droptrack.pipeline.threads import READ_AHEAD, AnnotatedVideo, FrameReader, side_by_side
 from droptrack.tracking.appearance import describe
-from droptrack.tracking.deepsort import Parameters, Tracker
+from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 
 
 def frames(n: int, made: list[int], pause: float = 0.0) -> Iterator[tuple[int, Frame]]:
@@ -62,7 +62,7 @@ def track(
     engine: GreyLevelEngine, source: Iterator[tuple[int, Frame]], path: Path, **options: bool | int
 ) -> tuple[Trajectories, Results]:
     detector = Detector(engine, 0.5, 0.5)
-    tracker = Tracker(Parameters())
+    tracker = DeepSortTracker(DeepSortParameters())
     with TrajectoryWriter(path, {}, FURTHER_COLUMNS) as rows:
         results = Results(rows)
         for _ in track_frames(source, detector, tracker, describe, results, **options):  # type: ignore[arg-type]

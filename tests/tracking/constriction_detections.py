@@ -1,8 +1,8 @@
-"""What the network finds in four videos of the constriction, with its mistakes, and the truth.
+"""What the network finds in four videos of the constriction, mistakes too, and ground truth.
 
-``python tests/constriction_detections.py`` simulates the videos (minutes), finds the droplets with
-the network that ships and writes ``tests/data/constriction_detections.npz``. In them, now and then,
-half a droplet gets a box of its own for some frames, or a box jumps.
+``python tests/tracking/constriction_detections.py`` simulates the videos (minutes), finds the
+droplets with the bundled model and writes ``tests/reference/constriction_detections.npz``. In them,
+now and then, half a droplet gets a box of its own for some frames, or a box jumps.
 """
 
 import subprocess
@@ -28,7 +28,7 @@ STEP_PX = 0.02  # to which places are kept
 
 
 def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    """Frame, centre of mass and box of each detection, and frame, droplet, place, box of the truth.
+    """Frame, centre and box of each detection, and frame, droplet, centre, box of ground truth.
 
     Lengths are in STEP_PX.
     """
@@ -47,7 +47,7 @@ def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
 
 
 def load(seed: int) -> tuple[list[tuple[Detections, NDArray[np.float64]]], Trajectories]:
-    """Detections and centres of mass (M, 2) of each frame, and the truth."""
+    """Detections and centres of mass (M, 2) of each frame, and ground truth."""
     with np.load(REFERENCE) as arrays:
         found, known = arrays[f"found {seed}"], arrays[f"truth {seed}"]
     frames = []

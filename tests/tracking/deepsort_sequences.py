@@ -1,8 +1,8 @@
 """Sequences of detections on which droptrack's DeepSORT is compared with the original program.
 
-``python tests/deepsort_sequences.py ORIGINAL`` runs the original (nwojke/deep_sort, GPL, not part
-of this repository; ORIGINAL is its folder) on them and writes the identities that it gives to
-``tests/data/deepsort_original.npz``.
+``python tests/tracking/deepsort_sequences.py ORIGINAL`` runs the original (nwojke/deep_sort, GPL,
+not part of this repository; ORIGINAL is its folder) on them and writes the identities that it gives
+to ``tests/reference/deepsort_original.npz``.
 """
 
 import sys
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.tracking.deepsort import Parameters
+from droptrack.tracking.deepsort.tracker import DeepSortParameters
 
 Floats = NDArray[np.float64]
 
@@ -28,13 +28,13 @@ class Sequence:
     """Boxes (M, 4) and descriptors (M, D) of each frame, and DeepSORT's parameters."""
 
     frames: list[tuple[Floats, Floats]]
-    parameters: Parameters
+    parameters: DeepSortParameters
 
 
-def make(seed: int, looks: float, missing: float, parameters: Parameters) -> Sequence:
+def make(seed: int, own_share: float, missing: float, parameters: DeepSortParameters) -> Sequence:
     """Sixty objects that cross, stop being seen, appear and leave, with noise in all of it.
 
-    `looks`: how much of a descriptor is the object's own, the rest is common or noise; `missing`:
+    `own_share`: of a descriptor, the rest is common or noise; `missing`:
     share of the detections left out; a sixth of the objects are also hidden for 1 to 40 frames.
     """
     rng = np.random.default_rng(seed)
@@ -57,8 +57,8 @@ def make(seed: int, looks: float, missing: float, parameters: Parameters) -> Seq
         boxes = np.hstack([place, size[ids]]) + rng.normal(0, 1.0, (len(ids), 4))
         false = np.hstack([rng.uniform(0, HEIGHT, (3, 2)), rng.uniform(20, 60, (3, 2))])
         boxes = np.vstack([boxes, false])
-        descriptors = rng.normal(0, 0.4, (len(boxes), 16)) + (1 - looks) * common
-        descriptors[: len(ids)] += looks * own[ids]
+        descriptors = rng.normal(0, 0.4, (len(boxes), 16)) + (1 - own_share) * common
+        descriptors[: len(ids)] += own_share * own[ids]
         descriptors /= np.linalg.norm(descriptors, axis=1, keepdims=True)
         frames.append((boxes, descriptors.astype(np.float32).astype(np.float64)))
     return Sequence(frames, parameters)
@@ -67,10 +67,14 @@ def make(seed: int, looks: float, missing: float, parameters: Parameters) -> Seq
 def sequences() -> dict[str, Sequence]:
     """The sequences by name."""
     return {
-        "looks that differ": make(1, 1.0, 0.05, Parameters()),
-        "looks that mislead": make(2, 0.3, 0.1, Parameters()),
-        "look-alikes": make(3, 0.0, 0.02, Parameters(max_cosine_distance=0.4, nn_budget=10)),
-        "short memory": make(4, 0.8, 0.2, Parameters(max_age=5, n_init=2, max_iou_distance=0.9)),
+        "descriptors that differ": make(1, 1.0, 0.05, DeepSortParameters()),
+        "descriptors that mislead": make(2, 0.3, 0.1, DeepSortParameters()),
+        "equal descriptors": make(
+            3, 0.0, 0.02, DeepSortParameters(max_cosine_distance=0.4, nn_budget=10)
+        ),
+        "short memory": make(
+            4, 0.8, 0.2, DeepSortParameters(max_age=5, n_init=2, max_iou_distance=0.9)
+        ),
     }
 
 
@@ -98,8 +102,8 @@ def identities_of_the_original(sequence: Sequence) -> NDArray[np.int32]:
         for track in tracker.tracks:
             if track.track_id in started:
                 ids[np.abs(boxes[:, :2] - track.mean[:2]).sum(axis=1).argmin()] = track.track_id
-        sure = [t.track_id for t in tracker.tracks if t.is_confirmed()]
-        rows.append(np.where(np.isin(ids, sure), ids, -ids))
+        confirmed = [t.track_id for t in tracker.tracks if t.is_confirmed()]
+        rows.append(np.where(np.isin(ids, confirmed), ids, -ids))
     return np.concatenate(rows)
 
 

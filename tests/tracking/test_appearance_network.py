@@ -1,4 +1,4 @@
-"""Networks of the user's that say what droplets look like."""
+"""Networks of the user's that describe the appearance of droplets."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ activation=leaky
 
 def darknet(folder: Path, rng: np.random.Generator) -> tuple[Path, Path, np.ndarray, np.ndarray]:
     """A network of one convolution, and its biases (4,) and weights (4, 3, 3, 3)."""
-    cfg, weights = folder / "look.cfg", folder / "look.weights"
+    cfg, weights = folder / "crop.cfg", folder / "crop.weights"
     cfg.write_text(CFG)
     biases = rng.normal(0, 1, 4).astype(np.float32)
     kernels = rng.normal(0, 1, (4, 3, 3, 3)).astype(np.float32)
@@ -44,7 +44,7 @@ def test_a_darknet_network_gives_what_torch_computes(tmp_path: Path) -> None:
     # crops of the input's size, so that nothing is resampled; more than one batch of them
     corners = rng.integers([0, 0], [64, 52], (100, 2))
     boxes = np.hstack([corners + np.array([8, 4]), np.tile([16, 8], (100, 1))]).astype(float)
-    looks = NetworkAppearance(cfg, weights, (16, 8))(frame, boxes)
+    descriptors = NetworkAppearance(cfg, weights, (16, 8))(frame, boxes)
     crops = np.stack([frame[y : y + 8, x : x + 16, ::-1] for x, y in corners])
     inputs = torch.from_numpy(crops.transpose(0, 3, 1, 2).astype(np.float32) / 255)
     out = torch.nn.functional.conv2d(
@@ -52,7 +52,7 @@ def test_a_darknet_network_gives_what_torch_computes(tmp_path: Path) -> None:
     )
     expected = torch.nn.functional.leaky_relu(out, 0.1).reshape(100, -1).numpy()
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    np.testing.assert_allclose(looks, expected, atol=1e-5)
+    np.testing.assert_allclose(descriptors, expected, atol=1e-5)
 
 
 def onnx_file(
@@ -74,7 +74,7 @@ def onnx_file(
             make.make_node("GlobalAveragePool", ["r"], ["m"]),
             make.make_node("Reshape", ["m", "s"], ["y"]),
         ],
-        "look",
+        "crop",
         [make.make_tensor_value_info("x", real, [batch, 3, 8, 16])],
         [make.make_tensor_value_info("y", real, [batch, n])],
         [
@@ -92,12 +92,12 @@ def onnx_file(
 def test_an_onnx_network_gives_what_numpy_computes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batched: bool, n_runs: int
 ) -> None:
-    """A hundred boxes, in batches of 64; a network for single pictures gets one after the other."""
+    """A hundred boxes, in batches of 64; a network for single images gets one after the other."""
     rng = np.random.default_rng(3)
     kernels = rng.normal(0, 1, (5, 3, 3, 3)).astype(np.float32)
     biases = rng.normal(0, 1, 5).astype(np.float32)
     describe = NetworkAppearance(
-        onnx_file(tmp_path / "look.onnx", kernels, biases, batched=batched), None, (16, 8)
+        onnx_file(tmp_path / "crop.onnx", kernels, biases, batched=batched), None, (16, 8)
     )
     frame = rng.integers(0, 256, (60, 80, 3)).astype(np.uint8)
     corners = rng.integers([0, 0], [64, 52], (100, 2))
@@ -105,7 +105,7 @@ def test_an_onnx_network_gives_what_numpy_computes(
     describe(frame, boxes[:2])  # by now it is known what the network takes at once
     counted = CountedRuns(describe._net)
     monkeypatch.setattr(describe, "_net", counted)
-    looks = describe(frame, boxes)
+    descriptors = describe(frame, boxes)
     assert counted.n_runs == n_runs
     crops = np.stack([frame[y : y + 8, x : x + 16, ::-1] for x, y in corners]) / 255
     padded = np.pad(crops, ((0, 0), (1, 1), (1, 1), (0, 0)))
@@ -113,8 +113,8 @@ def test_an_onnx_network_gives_what_numpy_computes(
     out = np.einsum("nyxcij,kcij->nkyx", windows, kernels) + biases[:, None, None]
     expected = np.maximum(out, 0).mean(axis=(2, 3))
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    assert expected.std(axis=0).min() > 0.005  # the crops do not all look alike
-    np.testing.assert_allclose(looks, expected, atol=1e-5)
+    assert expected.std(axis=0).min() > 0.005  # the crops are not all alike
+    np.testing.assert_allclose(descriptors, expected, atol=1e-5)
 
 
 class CountedRuns:
@@ -129,12 +129,14 @@ class CountedRuns:
         return self.net.forward()
 
 
-def test_boxes_beyond_the_picture_have_looks_and_no_boxes_have_none(tmp_path: Path) -> None:
+def test_boxes_beyond_the_image_have_descriptors_and_no_boxes_have_none(tmp_path: Path) -> None:
     cfg, weights, _, _ = darknet(tmp_path, np.random.default_rng(1))
     describe = NetworkAppearance(cfg, weights, (16, 8))
     frame = np.full((40, 50, 3), 90, np.uint8)
-    looks = describe(frame, np.array([[0.0, 0, 20, 20], [-90, 300, 5, 5], [25, 20, 200, 200]]))
-    np.testing.assert_allclose(np.linalg.norm(looks, axis=1), 1)
+    descriptors = describe(
+        frame, np.array([[0.0, 0, 20, 20], [-90, 300, 5, 5], [25, 20, 200, 200]])
+    )
+    np.testing.assert_allclose(np.linalg.norm(descriptors, axis=1), 1)
     assert len(describe(frame, np.zeros((0, 4)))) == 0
 
 

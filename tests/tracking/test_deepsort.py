@@ -8,28 +8,30 @@ import pytest
 from numpy.typing import NDArray
 
 from droptrack.evaluation.trajectory_scores import assign
-from droptrack.tracking.appearance import cosine_distances, describe
-from droptrack.tracking.association import matching_cascade
-from droptrack.tracking.deepsort import Parameters, Tracker
+from droptrack.tracking.appearance import describe
+from droptrack.tracking.deepsort.matching import cosine_distances, matching_cascade
+from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 
 Floats = NDArray[np.float64]
 
 Point = tuple[float, float]
 Frames = list[Sequence[Point]]
 
-PARAMETERS = Parameters()
-ALIKE = np.array([1.0, 0.0])
+PARAMETERS = DeepSortParameters()
+DESCRIPTOR = np.array([1.0, 0.0])
 
 
 def run(
-    frames: Sequence[Sequence[Point]], size: float = 20.0, parameters: Parameters = PARAMETERS
+    frames: Sequence[Sequence[Point]],
+    size: float = 20.0,
+    parameters: DeepSortParameters = PARAMETERS,
 ) -> list[list[int]]:
-    """Identities of droplets of one size that all look alike, frame by frame."""
-    tracker = Tracker(parameters)
+    """Identities of droplets of one size and one descriptor, frame by frame."""
+    tracker = DeepSortTracker(parameters)
     ids = []
     for positions in frames:
         boxes = np.array([[x, y, size, size] for x, y in positions]).reshape(-1, 4)
-        update = tracker.update(boxes, np.tile(ALIKE, (len(boxes), 1)))
+        update = tracker.update(boxes, np.tile(DESCRIPTOR, (len(boxes), 1)))
         ids.append(update.track_ids.tolist())
     return ids
 
@@ -59,40 +61,40 @@ def test_a_droplet_last_seen_more_than_max_age_frames_ago_is_a_new_one() -> None
     there: Sequence[Point] = [(100.0, 50.0)]
     for gap, expected in ((4, 1), (5, 2)):
         frames = [there] * 5 + [[]] * gap + [there] * 5
-        assert run(frames, parameters=Parameters(max_age=5))[-1] == [expected]
+        assert run(frames, parameters=DeepSortParameters(max_age=5))[-1] == [expected]
 
 
-def test_a_new_track_ends_at_its_first_miss() -> None:
+def test_a_new_track_is_terminated_by_its_first_miss() -> None:
     there: Sequence[Point] = [(100.0, 50.0)]
     assert run([there, there, [], there]) == [[1], [1], [], [2]]
 
 
 def test_a_track_is_confirmed_by_the_third_detection_in_a_row() -> None:
-    tracker = Tracker(Parameters())
-    box, look = np.array([[100.0, 50.0, 20.0, 20.0]]), ALIKE[None]
-    assert [tracker.update(box, look).confirmed for _ in range(5)] == [(), (), (1,), (), ()]
+    tracker = DeepSortTracker(DeepSortParameters())
+    box, descriptor = np.array([[100.0, 50.0, 20.0, 20.0]]), DESCRIPTOR[None]
+    assert [tracker.update(box, descriptor).confirmed for _ in range(5)] == [(), (), (1,), (), ()]
     none = np.zeros((0, 4))
-    ended = [tracker.update(none, np.zeros((0, 2))).ended for _ in range(31)]
-    assert ended == [()] * 30 + [(1,)]
+    updates = [tracker.update(none, np.zeros((0, 2))) for _ in range(31)]
+    assert [update.terminated for update in updates] == [()] * 30 + [(1,)]
 
 
 def test_with_n_init_of_one_a_track_is_confirmed_at_birth() -> None:
-    tracker = Tracker(Parameters(n_init=1))
-    update = tracker.update(np.array([[100.0, 50.0, 20.0, 20.0]]), ALIKE[None])
+    tracker = DeepSortTracker(DeepSortParameters(n_init=1))
+    update = tracker.update(np.array([[100.0, 50.0, 20.0, 20.0]]), DESCRIPTOR[None])
     assert update.confirmed == (1,)
 
 
 def test_appearance_decides_within_the_gate() -> None:
-    """Two droplets nearly in one place exchange positions within the gate; their looks tell."""
-    tracker = Tracker(Parameters())
-    looks = np.eye(2)
+    """Two droplets nearly in one place exchange positions within the gate; descriptors tell."""
+    tracker = DeepSortTracker(DeepSortParameters())
+    descriptors = np.eye(2)
     boxes = np.array([[100.0, 50, 40, 40], [104.0, 50, 40, 40]])
     for _ in range(5):
-        assert tracker.update(boxes, looks).track_ids.tolist() == [1, 2]
-    assert tracker.update(boxes[::-1], looks).track_ids.tolist() == [1, 2]
+        assert tracker.update(boxes, descriptors).track_ids.tolist() == [1, 2]
+    assert tracker.update(boxes[::-1], descriptors).track_ids.tolist() == [1, 2]
 
 
-def test_a_jump_beyond_the_gate_and_overlap_starts_a_new_track() -> None:
+def test_a_jump_beyond_the_gate_and_any_iou_starts_a_new_track() -> None:
     here, there = [(100.0, 50.0)], [(140.0, 50.0)]
     frames = [here] * 5 + [there]
     assert run(frames)[-1] == [2]
@@ -111,11 +113,11 @@ def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
     """A matrix of all against all would be 800 MB."""
     x, y = np.meshgrid(np.arange(100) * 30.0, np.arange(100) * 30.0)
     places = np.column_stack([x.ravel(), y.ravel()])
-    tracker = Tracker(PARAMETERS)
+    tracker = DeepSortTracker(PARAMETERS)
     tracemalloc.start()
     for t in range(5):
         boxes = np.hstack([places + 2 * t, np.full((10_000, 2), 26.0)])
-        update = tracker.update(boxes, np.tile(ALIKE, (10_000, 1)))
+        update = tracker.update(boxes, np.tile(DESCRIPTOR, (10_000, 1)))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100e6
@@ -123,13 +125,13 @@ def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
 
 
 def test_boxes_apart_are_matched_only_where_every_distance_is_allowed() -> None:
-    """An overlap of 0 is a distance of 1."""
+    """An IoU of 0 is a distance of 1."""
     frames = [[(0.0, 0.0)], [(300.0, 0.0)]]
     assert run(frames) == [[1], [2]]
-    assert run(frames, parameters=Parameters(max_iou_distance=1)) == [[1], [1]]
+    assert run(frames, parameters=DeepSortParameters(max_iou_distance=1)) == [[1], [1]]
 
 
-def test_assignment_takes_the_least_total_not_the_least_pair() -> None:
+def test_assignment_takes_the_minimum_total_not_the_minimum_pair() -> None:
     """Greedy would take 1 and be left with 9: total 10; the others make 2 + 3."""
     cost = np.array([[1.0, 2.0], [3.0, 9.0]])
     rows, columns = assign(cost, 100)
@@ -166,10 +168,10 @@ def test_every_box_has_a_descriptor_of_length_one(box: list[float]) -> None:
     assert np.isfinite(descriptor).all()
 
 
-def test_droplets_of_other_sizes_look_different_and_equal_ones_alike() -> None:
+def test_descriptors_of_other_sizes_differ_and_of_equal_ones_do_not() -> None:
     frame = np.full((200, 200, 3), 128, np.uint8)
     boxes = np.array([[50.0, 50, 20, 20], [120, 120, 20, 20], [150, 60, 40, 40]])
-    looks = describe(frame, boxes)
-    distance = 1 - looks @ looks.T
+    descriptors = describe(frame, boxes)
+    distance = 1 - descriptors @ descriptors.T
     assert distance[0, 1] == pytest.approx(0, abs=1e-9)
     assert distance[0, 2] > 0.2

@@ -1,4 +1,4 @@
-"""The droplet tracker on drawings that one can follow by eye, and on what has gone wrong."""
+"""The droplet tracker on drawings that one can count by eye, and on what has gone wrong."""
 
 import tracemalloc
 from collections.abc import Sequence
@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from droptrack.data.detections import Detections
+from droptrack.data.detections import labels
 from droptrack.evaluation.trajectories import evaluate
 from droptrack.evaluation.trajectory_scores import assign
-from droptrack.tracking.association import assign_sparse, take_in_turn
-from droptrack.tracking.droplet_noise import median
-from droptrack.tracking.droplet_tracker import DropletParameters, DropletTracker
-from droptrack.tracking.recorder import Recorder
+from droptrack.tracking.appearance import describe_sizes
+from droptrack.tracking.association import assign_greedy, assign_sparse
+from droptrack.tracking.droplet.noise import median
+from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.tracker import DropletTracker
+from droptrack.tracking.recorder import concatenated
+from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Update
 from tests.tracking.constriction_detections import SEEDS, load
 
@@ -24,7 +27,7 @@ Box = tuple[float, float, float, float]
 
 
 def run(frames: Sequence[Sequence[Box]], tracker: DropletTracker | None = None) -> list[Update]:
-    """What the tracker says of boxes, frame by frame."""
+    """The tracker's updates for boxes, frame by frame."""
     tracker = tracker or DropletTracker(DropletParameters())
     tables = [np.array(boxes, float).reshape(-1, 4) for boxes in frames]
     return [tracker.update(boxes, np.zeros((len(boxes), 0))) for boxes in tables]
@@ -33,7 +36,7 @@ def run(frames: Sequence[Sequence[Box]], tracker: DropletTracker | None = None) 
 def ids(frames: Sequence[Sequence[Box]]) -> list[list[int]]:
     """Identities frame by frame as they are known in the end."""
     updates = run(frames)
-    later = {young: old for update in updates for young, old in update.joined}
+    later = {new: old for update in updates for new, old in update.merged}
     return [[later.get(i, i) for i in update.track_ids.tolist()] for update in updates]
 
 
@@ -42,7 +45,7 @@ def disc(x: float, y: float, d: float = 20.0) -> Box:
 
 
 @pytest.mark.parametrize("step", [5, 15, 30, 45])
-def test_a_row_of_droplets_is_followed_however_far_it_moves(step: float) -> None:
+def test_a_row_of_droplets_is_tracked_however_far_it_moves(step: float) -> None:
     """Unevenly spaced, up to 2.25 diameters a frame: further than to the next one's old place."""
     places = [20.0, 60, 95, 140, 170, 222]
     frames = [[disc(x + step * t, 50 + x % 7) for x in places] for t in range(8)]
@@ -94,7 +97,7 @@ def test_half_a_droplet_with_a_box_of_its_own_is_no_droplet() -> None:
     assert updates[-1].track_ids.tolist() == [1]
 
 
-def test_a_second_box_that_stays_is_a_droplet() -> None:
+def test_a_duplicate_that_stays_is_a_droplet() -> None:
     frames: list[list[Box]] = [[disc(100, 50)] for _ in range(10)]
     frames += [[disc(100, 50), disc(108, 50)] for _ in range(20)]
     updates = run(frames)
@@ -102,15 +105,16 @@ def test_a_second_box_that_stays_is_a_droplet() -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_in_a_constriction_nobody_is_mixed_up_missed_or_made_up(seed: int) -> None:
+def test_in_a_constriction_no_droplet_is_switched_missed_or_false(seed: int) -> None:
     """19 droplets, 155 frames; DeepSORT has 3, 0, 1, 1 switches and 40, 0, 4, 4 false ones."""
     frames, truth = load(seed)
-    tracker = DropletTracker(DropletParameters())
-    recorder = Recorder(tracker.delay + tracker.max_age)
-    for number, (found, centres) in enumerate(frames):
-        update = tracker.update(found.boxes, np.zeros((len(found), 0)))
-        recorder.add(number, found, centres, np.ones(len(found), bool), update)
-    summary = evaluate(truth, recorder.take_rest(unconfirmed=False).rows, 205).summary
+    session = TrackingSession(DropletTracker(DropletParameters()))
+    parts = [
+        session.add(number, found, centres, np.ones(len(found), bool), np.zeros((len(found), 0)))
+        for number, (found, centres) in enumerate(frames)
+    ]
+    rows = concatenated([*parts, session.finish()]).rows
+    summary = evaluate(truth, rows, 205).summary
     assert [summary[k] for k in ("n_switches", "n_false", "n_missed")] == [0, 0, 0]
     assert summary["n_tracks"] == 19
 
@@ -134,9 +138,9 @@ def test_sparse_assignment_is_as_good_as_the_dense_one() -> None:
         assert cost[got_rows, got_columns].sum() + left == pytest.approx(expected)
 
 
-def test_taking_pairs_in_turn_is_greedy() -> None:
+def test_greedy_assignment_takes_the_cheapest_pair_first() -> None:
     rows, columns = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
-    got = take_in_turn(rows, columns, np.array([1.0, 2, 3, 9]), 100)
+    got = assign_greedy(rows, columns, np.array([1.0, 2, 3, 9]), 100)
     assert sorted(zip(*(part.tolist() for part in got), strict=True)) == [(0, 0), (1, 1)]
     together = assign_sparse(rows, columns, np.array([1.0, 2, 3, 9]), 100)
     assert sorted(zip(*(part.tolist() for part in together), strict=True)) == [(0, 1), (1, 0)]
@@ -158,6 +162,19 @@ def test_noise_is_learned_from_what_is_seen() -> None:
 def test_the_median_is_numpys(n: int) -> None:
     values = np.random.default_rng(n).normal(0, 1, n)
     assert median(values) == np.median(values)
+
+
+def test_an_update_writes_into_no_array_that_there_was_before() -> None:
+    """Into none of the tracks and boxes: all are locked."""
+    tracker = DropletTracker(DropletParameters(appearance=1.0))
+    for found, _ in load(SEEDS[0])[0]:
+        state = tracker.tracks.state
+        tables = (tracker.tracks, state)
+        arrays = [a for table in tables for a in vars(table).values() if isinstance(a, np.ndarray)]
+        for array in (*arrays, found.boxes):
+            array.flags.writeable = False
+        tracker.update(found.boxes, describe_sizes(found.boxes))
+    assert len(arrays) == 14 + 3
 
 
 def test_nothing_at_all_and_nothing_for_a_while() -> None:
@@ -197,17 +214,15 @@ def test_ten_thousand_boxes_take_no_quadratic_memory() -> None:
 def test_finished_tracks_leave_the_memory() -> None:
     """600 droplets come and go in 1,500 frames; never are more than the last few dozen held."""
     tracker = DropletTracker(DropletParameters())
-    recorder, held = Recorder(tracker.delay + tracker.max_age), []
+    session, held = TrackingSession(tracker), []
     for t in range(1500):
         x = np.arange(t % 5 * 10.0, 200, 50)
         boxes = np.column_stack([x, np.full_like(x, 40), np.full((len(x), 2), 20.0)])
-        update = tracker.update(boxes, np.zeros((len(x), 0)))
-        found = Detections(boxes, np.ones(len(x)), np.zeros(len(x), np.int64))
-        recorder.add(t, found, boxes[:, :2], np.zeros(len(x), bool), update)
-        recorder.take_final()
-        kept = len(recorder._frames) + len(recorder._last) + len(recorder._ended)
+        session.add_boxes(t, labels(boxes), np.zeros((len(x), 0)))
+        recorder = session._recorder
+        kept = len(recorder._frames) + len(recorder._last) + len(recorder._terminated)
         held.append(len(tracker.tracks.ids) + kept + len(recorder._confirmed))
-    assert int(update.track_ids.max()) > 250
+    assert int(tracker.tracks.ids.max()) > 250
     assert max(held[100:200]) >= max(held[200:])
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from droptrack.tracking.motion_filter import Motion, jump
+from droptrack.tracking.motion_filter import KinematicState, jump
 
 
 def test_a_jump_is_the_mean_and_covariance_of_both_cases() -> None:
@@ -11,7 +11,7 @@ def test_a_jump_is_the_mean_and_covariance_of_both_cases() -> None:
     n, covariance = 400_000, np.array([[0.5, 0.2], [0.2, 0.3]])
     position, velocity, measured = np.array([3.0, 4.0]), np.array([1.0, -1.0]), np.array([9.0, 6.0])
     found = jump(
-        Motion(position[None], velocity[None], np.array([[0.5, 0.2, 0.3]])), measured[None]
+        KinematicState(position[None], velocity[None], np.array([[0.5, 0.2, 0.3]])), measured[None]
     )
     moved = rng.random(n) < 0.5
     spread = np.zeros(3)

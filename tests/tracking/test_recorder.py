@@ -11,16 +11,16 @@ def add(
     frame: int,
     where: dict[int, float],
     confirmed: tuple[int, ...] = (),
-    ended: tuple[int, ...] = (),
-    joined: tuple[tuple[int, int], ...] = (),
+    terminated: tuple[int, ...] = (),
+    merged: tuple[tuple[int, int], ...] = (),
 ) -> None:
     """Droplets by identity at x = y = where, boxes of 10 px."""
     ids = np.array(list(where), np.int64)
     centres = np.array([[v, v] for v in where.values()]).reshape(-1, 2)
     boxes = np.hstack([centres, np.full_like(centres, 10)])
     found = Detections(boxes, np.full(len(ids), 0.9), np.zeros(len(ids), np.int64))
-    measured = np.ones(len(ids), bool)
-    recorder.add(frame, found, centres, measured, Update(ids, confirmed, ended, joined))
+    update = Update(track_ids=ids, confirmed=confirmed, terminated=terminated, merged=merged)
+    recorder.add(frame, found, centres, np.ones(len(ids), bool), update)
 
 
 def table(recorded: Recorded) -> list[tuple[int, int, float, bool]]:
@@ -46,7 +46,7 @@ def test_frames_before_confirmation_are_filled_in() -> None:
 def test_a_track_that_is_never_confirmed_leaves_no_rows() -> None:
     recorder = Recorder(hold=30)
     add(recorder, 0, {1: 5})
-    add(recorder, 1, {}, ended=(1,))
+    add(recorder, 1, {}, terminated=(1,))
     assert table(recorder.take_rest(unconfirmed=True)) == []
 
 
@@ -104,7 +104,7 @@ def test_a_new_track_that_continues_an_old_one_gets_its_identity_and_the_gap_is_
     add(recorder, 0, {1: 10.0}, confirmed=(1,))
     add(recorder, 1, {})
     add(recorder, 2, {2: 14.0})
-    add(recorder, 3, {1: 16.0}, joined=((2, 1),))
+    add(recorder, 3, {1: 16.0}, merged=((2, 1),))
     assert table(recorder.take_rest(unconfirmed=False)) == [
         (0, 1, 10, True),
         (1, 1, 12, False),
@@ -119,9 +119,9 @@ def test_of_two_boxes_of_one_droplet_the_larger_counts() -> None:
     add(recorder, 0, {1: 10.0}, confirmed=(1,))
     boxes = np.array([[11.0, 11, 8, 8], [13.0, 13, 9, 9]])
     found = Detections(boxes, np.ones(2), np.zeros(2, np.int64))
-    update = Update(np.array([1, 2]), (), ())
+    update = Update(track_ids=np.array([1, 2]))
     recorder.add(1, found, boxes[:, :2], np.ones(2, bool), update)
-    add(recorder, 2, {1: 14.0}, joined=((2, 1),))
+    add(recorder, 2, {1: 14.0}, merged=((2, 1),))
     assert table(recorder.take_rest(unconfirmed=False)) == [
         (0, 1, 10, True),
         (1, 1, 13, True),

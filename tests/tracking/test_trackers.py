@@ -1,4 +1,4 @@
-"""How well droplets are followed that are hard to follow, by TrackEval's metrics."""
+"""How well droplets are tracked that are hard to track, by TrackEval's metrics."""
 
 from dataclasses import replace
 
@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench.track_scores import Score, follow, score
+from bench.track_scores import Score, score, track
 from data_gen.videos.motions import MOTIONS, Kind, Motion, make
 from droptrack.data.trajectories import Trajectories, sorted_trajectories
-from droptrack.tracking.deepsort import Parameters
-from droptrack.tracking.deepsort import Tracker as DeepSort
-from droptrack.tracking.droplet_tracker import DropletParameters, DropletTracker
+from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
+from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.tracker import DropletTracker
 from droptrack.tracking.tracker import Tracker
 
 SMALLER = 3  # times fewer droplets, and frames, than in the benchmark
@@ -20,7 +20,7 @@ ROUNDING = 1e-3  # by which a score may be lower: three false rows of 3,700
 
 def judge(tracker: Tracker, motion: Motion, seed: int = 0) -> Score:
     truth, frames = make(motion, seed)
-    return score(truth, *follow(tracker, frames))
+    return score(truth, track(tracker, frames))
 
 
 def droplet() -> DropletTracker:
@@ -29,13 +29,13 @@ def droplet() -> DropletTracker:
 
 @pytest.mark.parametrize("speed", [0.5, 1, 1.5, 2])
 def test_no_identity_is_switched_in_fast_uniform_flow(speed: float) -> None:
-    """More than 300 droplets; DeepSORT follows none of them from one diameter a frame on."""
-    motion = Motion(Kind.uniform, speed=speed, frames=30)
+    """More than 300 droplets; DeepSORT tracks none of them from one diameter a frame on."""
+    motion = Motion(kind=Kind.uniform, speed=speed, frames=30)
     result = judge(droplet(), motion)
     assert result.switches == 0
     assert result.idf1 > 0.995
     if speed >= 1:
-        lost = judge(DeepSort(Parameters()), replace(motion, frames=8))
+        lost = judge(DeepSortTracker(DeepSortParameters()), replace(motion, frames=8))
         assert lost.idf1 < 0.1
 
 
@@ -75,7 +75,7 @@ def test_never_worse_than_deepsort(name: str) -> None:
     if motion.kind not in (Kind.sine, Kind.packing, Kind.filled):
         motion = replace(motion, droplets=motion.droplets // SMALLER)
     motion = replace(motion, frames=max(20, motion.frames // SMALLER))
-    ours, theirs = judge(droplet(), motion), judge(DeepSort(Parameters()), motion)
+    ours, theirs = judge(droplet(), motion), judge(DeepSortTracker(DeepSortParameters()), motion)
     assert ours.mota >= theirs.mota - ROUNDING
     assert ours.idf1 >= theirs.idf1 - ROUNDING
     assert ours.hota >= theirs.hota - ROUNDING
@@ -83,7 +83,7 @@ def test_never_worse_than_deepsort(name: str) -> None:
 
 
 def test_scores_of_a_drawing_are_those_counted_by_hand() -> None:
-    """Two droplets, ten frames; one is followed as 1 then as 3, the other is not found.
+    """Two droplets, ten frames; one is tracked as 1 then as 3, the other is not found.
 
     10 of 20 missed and one switch: MOTA 1 - 11 / 20. The best identity covers 6 of the 20:
     IDF1 = 2 * 6 / (20 + 10).

@@ -5,7 +5,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from droptrack.tracking import deepsort_filter as kalman
+from droptrack.tracking.deepsort import kalman
 
 Floats = NDArray[np.float64]
 

@@ -1,20 +1,21 @@
 """DeepSORT (Wojke et al. 2017): detections, frame by frame -> tracks with lasting identities."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from droptrack.data.arrays import Floats, Rows
 from droptrack.data.detections import iou_of_pairs
 from droptrack.data.neighbours import pairs_within
-from droptrack.tracking import deepsort_filter as kalman
-from droptrack.tracking.appearance import cosine_distances
-from droptrack.tracking.association import assign_sparse, matching_cascade
-from droptrack.tracking.tracker import Update
+from droptrack.tracking.association import assign_sparse
+from droptrack.tracking.deepsort import kalman
+from droptrack.tracking.deepsort.matching import COST_STEP, cosine_distances, matching_cascade
+from droptrack.tracking.nearest import ROUNDING
+from droptrack.tracking.tracker import Update, check_descriptors
 
 
-@dataclass(frozen=True)
-class Parameters:
+@dataclass(frozen=True, kw_only=True)
+class DeepSortParameters:
     """DeepSORT's parameters by the names of the original, with its defaults."""
 
     max_cosine_distance: float = 0.2
@@ -24,23 +25,23 @@ class Parameters:
     n_init: int = 3  # detections in a row that confirm a track
 
 
-@dataclass
-class Track:
-    """What is known of one droplet besides its filter; `age` counts frames since it was seen."""
+@dataclass(kw_only=True)
+class _Track:
+    """The track of one droplet, without its filter's state."""
 
     track_id: int
     hits: int = 1
-    age: int = 0
-    confirmed: bool = False
-    gallery: list[Floats] = field(default_factory=list)
+    age: int = 0  # frames since it was seen
+    confirmed: bool
+    gallery: list[Floats]
 
 
-class Tracker:
-    """Follows droplets; call `update` with each frame's detections, also when there are none."""
+class DeepSortTracker:
+    """Tracks droplets; call `update` with each frame's detections, also when there are none."""
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: DeepSortParameters) -> None:
         self.parameters = parameters
-        self.tracks: list[Track] = []
+        self.tracks: list[_Track] = []
         self.mean = np.zeros((0, 4, 2))
         self.covariance = np.zeros((0, 4, 2, 2))
         self._next_id = 1
@@ -50,8 +51,7 @@ class Tracker:
 
     def update(self, boxes: Floats, descriptors: Floats) -> Update:
         """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
-        if len(boxes) != len(descriptors):
-            raise ValueError(f"{len(boxes)} boxes with {len(descriptors)} descriptors")
+        check_descriptors(boxes, descriptors)
         self.mean, self.covariance = kalman.predict(self.mean, self.covariance)
         for track in self.tracks:
             track.age += 1
@@ -70,30 +70,35 @@ class Tracker:
             if not track.confirmed and track.hits >= self.parameters.n_init:
                 track.confirmed = True
                 confirmed.append(track.track_id)
-        ended = self._drop_lost()
-        confirmed += self._start(track_ids, measurements, descriptors)
+        terminated = self._terminate()
+        free = np.flatnonzero(track_ids == 0)
+        track_ids[free] = self._start(measurements[free], descriptors[free])
+        if self.parameters.n_init <= 1:
+            confirmed += track_ids[free].tolist()
         for track in self.tracks:
             del track.gallery[: -self.parameters.nn_budget if track.confirmed else 0]
-        return Update(track_ids, tuple(confirmed), ended)
+        return Update(track_ids=track_ids, confirmed=tuple(confirmed), terminated=terminated)
 
     def _match(self, boxes: Floats, measurements: Floats, descriptors: Floats) -> tuple[Rows, Rows]:
-        """The cascade for confirmed tracks, then overlap for new ones and those just missed."""
+        """The cascade for confirmed tracks, then IoU for new ones and those just missed."""
         ages = np.array([track.age for track in self.tracks], np.int64)
-        sure = np.array([track.confirmed for track in self.tracks], bool)
-        rows, columns = self._by_appearance(np.flatnonzero(sure), ages, measurements, descriptors)
-        rest = np.setdiff1d(np.flatnonzero(~sure | (ages == 1)), rows)
+        confirmed = np.array([track.confirmed for track in self.tracks], bool)
+        rows, columns = self._match_by_appearance(
+            np.flatnonzero(confirmed), ages, measurements, descriptors
+        )
+        rest = np.setdiff1d(np.flatnonzero(~confirmed | (ages == 1)), rows)
         free = np.setdiff1d(np.arange(len(boxes)), columns)
-        more_rows, more_columns = self._by_overlap(rest, boxes[free])
+        more_rows, more_columns = self._match_by_iou(rest, boxes[free])
         return np.append(rows, rest[more_rows]), np.append(columns, free[more_columns])
 
-    def _by_appearance(
+    def _match_by_appearance(
         self, candidates: Rows, ages: Rows, measurements: Floats, descriptors: Floats
     ) -> tuple[Rows, Rows]:
-        """Matched tracks, of the candidates, and detections: alike, and within the gate."""
+        """Matched tracks, of the candidates, and detections: similar, and within the gate."""
         p, gate = self.parameters, kalman.CHI_SQUARE_95[4]
         mean, covariance = self.mean[candidates], self.covariance[candidates]
         reach = np.sqrt(gate * kalman.innovation_variance(mean, covariance)[:, :2].max(axis=1))
-        rows, columns = pairs_within(mean[:, :2, 0], reach * (1 + 1e-9), measurements[:, :2])
+        rows, columns = pairs_within(mean[:, :2, 0], reach * (1 + ROUNDING), measurements[:, :2])
         near = kalman.gating_distance(mean[rows], covariance[rows], measurements[columns]) <= gate
         rows, columns = rows[near], columns[near]
         galleries = [self.tracks[row].gallery for row in candidates]
@@ -103,39 +108,38 @@ class Tracker:
         )
         return candidates[matched], taken
 
-    def _by_overlap(self, tracks: Rows, boxes: Floats) -> tuple[Rows, Rows]:
+    def _match_by_iou(self, tracks: Rows, boxes: Floats) -> tuple[Rows, Rows]:
         """Matched places among the tracks and among the boxes."""
-        most = self.parameters.max_iou_distance
+        max_cost = self.parameters.max_iou_distance
         expected = kalman.boxes_of(self.mean[tracks])
         # boxes that do not overlap may be matched only if everything may
-        largest = boxes[:, 2:].max(initial=0) if most < 1 else np.inf
+        largest = boxes[:, 2:].max(initial=0) if max_cost < 1 else np.inf
         reach = (expected[:, 2:].max(axis=1, initial=0) + largest) / 2
         rows, columns = pairs_within(expected[:, :2], reach, boxes[:, :2])
         cost = 1 - iou_of_pairs(expected[rows], boxes[columns])
-        near = cost <= most
-        return assign_sparse(rows[near], columns[near], cost[near], most + 1e-5)
+        near = cost <= max_cost
+        return assign_sparse(rows[near], columns[near], cost[near], max_cost + COST_STEP)
 
-    def _drop_lost(self) -> tuple[int, ...]:
-        """A new track ends with its first miss, a confirmed one after more than max_age."""
+    def _terminate(self) -> tuple[int, ...]:
+        """A new track is terminated by its first miss, a confirmed one by more than max_age."""
         alive = [
             track.age == 0 or (track.confirmed and track.age <= self.parameters.max_age)
             for track in self.tracks
         ]
-        ended = tuple(t.track_id for t, lives in zip(self.tracks, alive, strict=True) if not lives)
+        lost = tuple(t.track_id for t, lives in zip(self.tracks, alive, strict=True) if not lives)
         self.tracks = [t for t, lives in zip(self.tracks, alive, strict=True) if lives]
         self.mean, self.covariance = self.mean[alive], self.covariance[alive]
-        return ended
+        return lost
 
-    def _start(self, track_ids: Rows, measurements: Floats, descriptors: Floats) -> list[int]:
-        """Start a track for each detection without one; returns those confirmed at once."""
-        new = np.flatnonzero(track_ids == 0)
-        mean, covariance = kalman.initiate(measurements[new])
+    def _start(self, measurements: Floats, descriptors: Floats) -> Rows:
+        """Start a track for each of F detections; returns their identities."""
+        mean, covariance = kalman.initiate(measurements)
         self.mean = np.concatenate([self.mean, mean])
         self.covariance = np.concatenate([self.covariance, covariance])
-        sure = self.parameters.n_init <= 1
-        for column in new:
-            track_ids[column] = self._next_id
-            track = Track(self._next_id, confirmed=sure, gallery=[descriptors[column]])
-            self.tracks.append(track)
-            self._next_id += 1
-        return [int(track_ids[column]) for column in new] if sure else []
+        ids = np.arange(self._next_id, self._next_id + len(measurements))
+        self._next_id += len(ids)
+        self.tracks += [
+            _Track(track_id=one, confirmed=self.parameters.n_init <= 1, gallery=[descriptor])
+            for one, descriptor in zip(ids.tolist(), descriptors, strict=True)
+        ]
+        return ids

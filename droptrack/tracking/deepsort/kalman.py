@@ -10,8 +10,15 @@ import numpy as np
 
 from droptrack.data.arrays import Floats
 
+# standard deviations in heights
 POSITION_WEIGHT = 1 / 20
 VELOCITY_WEIGHT = 1 / 160
+FIRST_POSITION_WEIGHT = 2 * POSITION_WEIGHT
+FIRST_VELOCITY_WEIGHT = 10 * VELOCITY_WEIGHT
+# standard deviations of the aspect ratio
+ASPECT = 1e-2
+ASPECT_RATE = 1e-5
+ASPECT_MEASURED = 1e-1
 # for cx, cy, a, h: factors of the height, and what is added for the aspect ratio
 OF_HEIGHT = np.array([1.0, 1.0, 0.0, 1.0])
 OF_ASPECT = np.array([0.0, 0.0, 1.0, 0.0])
@@ -36,8 +43,8 @@ def initiate(measurements: Floats) -> tuple[Floats, Floats]:
     height = measurements[:, 3]
     mean = np.stack([measurements, np.zeros_like(measurements)], axis=2)
     covariance = np.zeros((len(measurements), 4, 2, 2))
-    covariance[..., 0, 0] = _deviations(height, 2 * POSITION_WEIGHT, 1e-2) ** 2
-    covariance[..., 1, 1] = _deviations(height, 10 * VELOCITY_WEIGHT, 1e-5) ** 2
+    covariance[..., 0, 0] = _deviations(height, FIRST_POSITION_WEIGHT, ASPECT) ** 2
+    covariance[..., 1, 1] = _deviations(height, FIRST_VELOCITY_WEIGHT, ASPECT_RATE) ** 2
     return mean, covariance
 
 
@@ -48,9 +55,9 @@ def predict(mean: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     moved[..., 0] += mean[..., 1]
     p, c, v = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     spread = np.empty_like(covariance)
-    spread[..., 0, 0] = p + 2 * c + v + _deviations(height, POSITION_WEIGHT, 1e-2) ** 2
+    spread[..., 0, 0] = p + 2 * c + v + _deviations(height, POSITION_WEIGHT, ASPECT) ** 2
     spread[..., 0, 1] = spread[..., 1, 0] = c + v
-    spread[..., 1, 1] = v + _deviations(height, VELOCITY_WEIGHT, 1e-5) ** 2
+    spread[..., 1, 1] = v + _deviations(height, VELOCITY_WEIGHT, ASPECT_RATE) ** 2
     return moved, spread
 
 
@@ -64,7 +71,7 @@ def update(mean: Floats, covariance: Floats, measurements: Floats) -> tuple[Floa
 
 def innovation_variance(mean: Floats, covariance: Floats) -> Floats:
     """Variances (N, 4) of a measurement about its prediction."""
-    noise = _deviations(mean[:, 3, 0], POSITION_WEIGHT, 1e-1) ** 2
+    noise = _deviations(mean[:, 3, 0], POSITION_WEIGHT, ASPECT_MEASURED) ** 2
     return np.asarray(covariance[..., 0, 0] + noise)
 
 

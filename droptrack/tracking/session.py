@@ -1,0 +1,77 @@
+"""Detections, frame by frame -> final rows of trajectories: a tracker and its recorder."""
+
+import numpy as np
+
+from droptrack.data.arrays import Bools, Floats
+from droptrack.data.detections import Detections
+from droptrack.tracking.recorder import NO_ROWS, Recorded, Recorder, Row
+from droptrack.tracking.tracker import Tracker
+
+FRAMES_AT_ONCE = 10  # whose rows are given together; one by one they take half as long again
+
+
+class TrackingSession:
+    """Tracks the droplets of one video, or of one file of detections.
+
+    A frame whose number is left out could not be decoded: the droplets moved on and were missed in
+    it. In a `live` source such frames were only not looked at, and nothing was missed in them.
+    """
+
+    def __init__(self, tracker: Tracker, *, live: bool = False) -> None:
+        self.n_frames = 0
+        self._tracker, self._live = tracker, live
+        self._recorder = Recorder(tracker.delay + tracker.max_age)
+        self._next: int | None = None
+
+    @property
+    def delay(self) -> int:
+        """Frames after which the tracks in a frame are confirmed, merged or terminated."""
+        return self._tracker.delay
+
+    def add(
+        self,
+        frame: int,
+        detections: Detections,
+        centres: Floats,
+        measured: Bools,
+        descriptors: Floats,
+    ) -> Recorded:
+        """Take the M detections of a frame; returns rows that the frames before it made final.
+
+        `centres` (M, 2): of the droplets, px; `measured` (M,): which of them are centres of mass,
+        not of boxes; `descriptors` (M, D): see `Tracker`. Rows come with every tenth frame, each
+        once.
+        """
+        due = self.n_frames > 0 and self.n_frames % FRAMES_AT_ONCE == 0
+        final = self._recorder.take_final() if due else NO_ROWS
+        expected = frame if self._live or self._next is None else self._next
+        for missed in range(expected, frame):
+            self._track(missed, detections[:0], centres[:0], measured[:0], descriptors[:0])
+        self._track(frame, detections, centres, measured, descriptors)
+        self._next = frame + 1
+        self.n_frames += 1
+        return final
+
+    def add_boxes(self, frame: int, detections: Detections, descriptors: Floats) -> Recorded:
+        """As `add`, where nothing but boxes is known: their centres are the droplets'."""
+        measured = np.zeros(len(detections), bool)
+        return self.add(frame, detections, detections.boxes[:, :2], measured, descriptors)
+
+    def rows_of(self, frame: int) -> list[Row]:
+        """The rows of a frame so far, see `Recorder`; call it before the next frame is added."""
+        return self._recorder.rows_of(frame)
+
+    def finish(self) -> Recorded:
+        """The rows that are left; if there were too few frames to confirm any track, of all."""
+        return self._recorder.take_rest(unconfirmed=self.n_frames < self._tracker.n_init)
+
+    def _track(
+        self,
+        frame: int,
+        detections: Detections,
+        centres: Floats,
+        measured: Bools,
+        descriptors: Floats,
+    ) -> None:
+        update = self._tracker.update(detections.boxes, descriptors)
+        self._recorder.add(frame, detections, centres, measured, update)

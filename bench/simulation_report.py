@@ -46,13 +46,13 @@ def rotation(truth: dict[str, Floats], steps: Floats) -> None:
     typer.echo(f"  area             {(area / area[0]).min():.4f} to {(area / area[0]).max():.4f}")
     gaps = np.abs(place[:, :, None] - place[:, None])[:, ~np.eye(n, dtype=bool)]
     if gaps.size:
-        typer.echo(f"  least distance   {gaps.min():.1f}")
+        typer.echo(f"  minimum distance {gaps.min():.1f}")
 
 
 @app.command()
 @one_line_errors
-def flows(folders: list[Path]) -> None:
-    """Print what the flows in these folders did."""
+def report(folders: list[Path]) -> None:
+    """Print what the simulations in these folders did."""
     for folder in folders:
         about = json.loads((folder / "parameters.json").read_text())
         checks = columns(folder / "checks.csv")

@@ -1,6 +1,6 @@
 """Speed of the simulations over grid size, droplets and threads, ``python -m bench.simulations``.
 
-Each line: milliseconds a step and million lattice updates (nodes times steps) a second, and how
+Each line: milliseconds per step and million lattice updates (nodes times steps) per second, and how
 that compares with the first line of its table, measured in the same run. Where a GPU works, each
 table has lines of it too.
 """
@@ -18,13 +18,13 @@ from data_gen.lattice_boltzmann.free_energy import reference as fe
 from data_gen.lattice_boltzmann.settings import Device, solver_class, usable_device, use_threads
 from droptrack.command_line import new_app, one_line_errors
 
-SECONDS = 3.0  # a measurement
+SECONDS = 3.0  # per measurement
 Cases = dict[str, Callable[[], tuple[Any, int]]]
 app = new_app()
 
 
 def updates_a_second(running: Any, nodes: int) -> float:
-    """Lattice updates a second of a running solver, after a start that is not counted."""
+    """Lattice updates per second of a running solver, after a start that is not counted."""
     running.run(4)
     first, start = running.state.step, time.perf_counter()
     while time.perf_counter() - start < SECONDS:
@@ -42,7 +42,7 @@ def table(title: str, cases: Cases) -> None:
         speed = updates_a_second(running, nodes)
         first = first or speed
         typer.echo(
-            f"  {name:28} {1e3 * nodes / speed:8.3f} ms a step {speed / 1e6:8.1f} M updates/s"
+            f"  {name:28} {1e3 * nodes / speed:8.3f} ms per step {speed / 1e6:8.1f} M updates/s"
             f"  x {speed / first:.2f}"
         )
 

@@ -1,1 +1,1 @@
-"""Synthetic pictures and videos of droplets whose truth is known exactly."""
+"""Synthetic images and videos of droplets with their exact ground truth."""

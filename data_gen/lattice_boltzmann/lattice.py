@@ -1,7 +1,7 @@
 """The D2Q9 lattice: moments, equilibrium, collision, streaming, walls, derivatives.
 
 Lattice units: dx = dt = 1, c_s^2 = 1/3. Populations f are (9, H, W), vector fields (2, H, W) with x
-first; all are indexed [y, x] with y up. Plain NumPy, one function a term: the reference for the
+first; all are indexed [y, x] with y up. Plain NumPy, one function per term: the reference for the
 compiled kernels. Sources: Krueger et al., The Lattice Boltzmann Method (2017); Guo et al., PRE 65,
 046308 (2002) for the force; Ginzburg et al., Commun. Comput. Phys. 3 (2008) for two times.
 """

@@ -1,4 +1,4 @@
-"""The three kinds of training pictures of the paper's appendix C, and one of deformed droplets.
+"""The three kinds of training images of the paper's appendix C, and one of deformed droplets.
 
 a   white discs and ellipses of random size and orientation on black
 b   a black disc on white with two white discs inside it
@@ -34,10 +34,14 @@ WIDTH, HEIGHT = 1200, 600
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture (H, W) uint8 and the boxes (N, 4) [cx, cy, w, h] px of the droplets in it."""
+    """An image (H, W) and the boxes (N, 4) [cx, cy, w, h] px of the droplets in it, read-only."""
 
     image: NDArray[np.uint8]
     boxes: Floats
+
+    def __post_init__(self) -> None:
+        for array in (self.image, self.boxes):
+            array.flags.writeable = False
 
 
 def scattered_droplets(rng: np.random.Generator) -> Scene:
@@ -126,12 +130,12 @@ def _cores_in_a_shell(rng: np.random.Generator, n: int) -> Floats:
     return np.array(cores)
 
 
-def _cluster_places(rng: np.random.Generator, least: float = 40) -> list[tuple[Floats, float]]:
+def _cluster_places(rng: np.random.Generator, min_reach: float = 40) -> list[tuple[Floats, float]]:
     """Centres and radii, px, of one to four circles that do not overlap."""
     places: list[tuple[Floats, float]] = []
     n = rng.integers(1, 5)
     for _ in range(20 * n):
-        reach = _log_uniform(rng, least, 270)
+        reach = _log_uniform(rng, min_reach, 270)
         centre = np.array(
             [rng.uniform(reach + 4, WIDTH - reach - 4), rng.uniform(reach + 4, HEIGHT - reach - 4)]
         )
@@ -177,7 +181,7 @@ def _without_overlap(points: Floats, radii: Floats, gap: float) -> Floats:
 def _foam(rng: np.random.Generator) -> tuple[Canvas, Floats]:
     """Clusters of polygonal droplets, stretched by up to 2.2 and bent as flow round a corner does.
 
-    Droplets that bending moves out of the picture are left out.
+    Droplets that bending moves out of the image are left out.
     """
     canvas = np.zeros((HEIGHT, WIDTH), np.uint8)
     boxes = []

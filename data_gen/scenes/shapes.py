@@ -1,6 +1,6 @@
 """Droplet shapes -> anti-aliased pixels and exact boxes.
 
-A picture is an (H, W) uint8 canvas of grey levels. Pixel c covers [c, c + 1), so its centre is
+An image is an (H, W) uint8 canvas of grey levels. Pixel c covers [c, c + 1), so its centre is
 c + 0.5. Three kinds of shapes:
 
 ellipses   (N, 5) float64 [cx, cy, a, b, angle]: semi-axes a and b in px, angle of a in radians

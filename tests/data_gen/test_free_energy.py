@@ -32,7 +32,7 @@ def rough_state(params: fe.Params, seed: int = 0) -> fe.State:
     state = fe.initial_state(params)
     state = replace(state, outer=np.roll(state.outer, 25, axis=1), step=13)
     if params.window:
-        state.origins[:] += [[0, 25], [3, 22]][: params.cores]
+        state = replace(state, origins=state.origins + [[0, 25], [3, 22]][: params.cores])
     else:
         state = replace(state, cores=np.roll(state.cores, 25, axis=2))
     f = state.f * rng.uniform(0.97, 1.03, state.f.shape)
@@ -66,6 +66,13 @@ def test_result_depends_neither_on_threads_nor_on_how_steps_are_divided() -> Non
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     for name in ("f", "outer", "cores"):
         assert (getattr(states[0], name) == getattr(states[1], name)).all()
+
+
+def test_the_arrays_of_a_state_cannot_be_changed() -> None:
+    state = Solver(small(), fe.initial_state(small())).state
+    for array in (state.f, state.outer, state.cores, state.origins):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
 
 
 def free_energy(params: fe.Params, psi: Floats) -> float:
@@ -129,8 +136,9 @@ def stretched_drop(radius: float) -> tuple[fe.Params, fe.State]:
     shell = radius + 14
     size = round(2 * (shell + 8))
     params = fe.Params(
-        size, size, 1, radius, shell, 0.0, v_top=0, v_bottom=0, window=0, rest_steps=0
-    )
+        width=size, height=size, cores=1, core_radius=radius, shell_radius=shell,
+        core_distance=0.0, v_top=0, v_bottom=0, window=0, rest_steps=0,
+    )  # fmt: skip
     state = fe.initial_state(params)
     y, x = np.mgrid[:size, :size] + 0.5 - size / 2
     r = np.hypot(x / 1.2, y * 1.2)
@@ -171,7 +179,7 @@ def test_spurious_currents_around_a_drop_left_to_rest() -> None:
 
 
 @pytest.mark.parametrize(("order", "lag"), [(2, 0.22), (4, 0.045)])
-def test_a_carried_drop_keeps_its_shape_and_follows_the_flow(order: int, lag: float) -> None:
+def test_a_carried_drop_keeps_its_shape_and_moves_with_the_flow(order: int, lag: float) -> None:
     areas, shifts = [], []
     for v in (0.0, 0.02):
         params = small(1, v_top=v, v_bottom=v, core_distance=0.0, flux_order=order)

@@ -14,7 +14,7 @@ from droptrack.data.trajectories import read_trajectories
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_perfect_detections_are_the_truth(name: str) -> None:
+def test_perfect_detections_are_the_ground_truth(name: str) -> None:
     motion = replace(MOTIONS[name], missing=0, false=0, jitter=0, frames=8)
     truth, frames = make(motion, 0)
     for number, found in enumerate(frames):
@@ -28,7 +28,7 @@ def test_perfect_detections_are_the_truth(name: str) -> None:
 
 
 def steps(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """Places and steps a frame, in diameters, of droplets that are seen in frames 0 and 1."""
+    """Places and steps per frame, in diameters, of droplets that are seen in frames 0 and 1."""
     truth, _ = make(motion, 3)
     first, second = (truth[truth.frame == t] for t in (0, 1))
     _, i, j = np.intersect1d(first.track_id, second.track_id, return_indices=True)
@@ -36,7 +36,7 @@ def steps(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
     return place, (np.column_stack([second.x, second.y])[j] - place) / motion.diameter
 
 
-def test_speeds_are_in_diameters_a_frame() -> None:
+def test_speeds_are_in_diameters_per_frame() -> None:
     _, uniform = steps(Motion(Kind.uniform, speed=1.5, frames=3))
     np.testing.assert_allclose(uniform, np.tile([1.5, 0], (len(uniform), 1)), atol=1e-9)
     place, shear = steps(Motion(Kind.shear, speed=2, frames=3))
@@ -77,7 +77,7 @@ def test_half_of_the_droplets_grow_and_half_shrink() -> None:
     assert (change > 1).mean() == pytest.approx(0.5, abs=0.1)
 
 
-def test_the_command_writes_detections_and_truth(tmp_path: Path) -> None:
+def test_the_command_writes_detections_and_ground_truth(tmp_path: Path) -> None:
     options = ["--out", str(tmp_path), "--kind", "channel", "--frames", "5", "--seed", "2"]
     result = CliRunner().invoke(app, ["motions", *options])
     assert result.exit_code == 0, result.output

@@ -13,7 +13,7 @@ def scenes(kind: str) -> list[Scene]:
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_pictures_are_1200_x_600_and_hold_every_droplet_whole(kind: str) -> None:
+def test_images_are_1200_x_600_and_hold_every_droplet_whole(kind: str) -> None:
     for scene in scenes(kind):
         assert scene.image.shape == (HEIGHT, WIDTH) == (600, 1200)
         half = scene.boxes[:, 2:] / 2
@@ -56,8 +56,8 @@ def test_scattered_droplets_are_both_discs_and_ellipses_and_do_not_overlap() -> 
     aspects = np.concatenate([b[:, 2] / b[:, 3] for b in boxes])
     assert 0.3 < (np.abs(aspects - 1) < 1e-9).mean() < 0.7
     for b in boxes:
-        overlap = iou_matrix(b, b) - np.eye(len(b))
-        assert overlap.max() < 0.2  # boxes may, droplets may not
+        iou = iou_matrix(b, b) - np.eye(len(b))
+        assert iou.max() < 0.2  # boxes may overlap, droplets may not
 
 
 def test_double_emulsion_has_two_white_cores_in_black_on_white() -> None:
@@ -93,7 +93,7 @@ def test_bending_keeps_the_area_of_a_droplet() -> None:
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_same_seed_gives_the_same_picture(kind: str) -> None:
+def test_same_seed_gives_the_same_image(kind: str) -> None:
     first, second = (SCENES[kind](np.random.default_rng(9)) for _ in range(2))
     assert (first.image == second.image).all()
     assert (first.boxes == second.boxes).all()

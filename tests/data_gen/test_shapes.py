@@ -1,4 +1,4 @@
-"""Shapes against a picture made by counting 32 x 32 points in every pixel."""
+"""Shapes against an image made by counting 32 x 32 points in every pixel."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_contour_of_an_ellipse_is_the_ellipse() -> None:
     np.testing.assert_allclose(contour_box(centre, radii), [*centre, 32, 18], atol=0.01)
 
 
-def test_polygon_of_an_ellipse_is_the_ellipse_also_where_the_picture_ends() -> None:
+def test_polygon_of_an_ellipse_is_the_ellipse_also_where_the_image_ends() -> None:
     for cx in (20.5, 3.2):
         a, b, cy = 16.0, 9.0, 20.2
         t = np.arange(256) * 2 * np.pi / 256
@@ -102,7 +102,7 @@ def test_black_is_drawn_over_white() -> None:
     assert (1 - canvas / 255).sum() == pytest.approx(np.pi * 100, rel=2e-3)
 
 
-def test_shapes_beyond_the_picture_are_cut_off() -> None:
+def test_shapes_beyond_the_image_are_cut_off() -> None:
     canvas = np.zeros((40, 44), np.uint8)
     draw_ellipses(canvas, np.array([[44.0, 20.0, 10, 10, 0], [200.0, -50, 10, 10, 0]]), WHITE)
     assert canvas.sum() / 255 == pytest.approx(np.pi * 100 / 2, rel=5e-3)

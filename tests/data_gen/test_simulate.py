@@ -52,7 +52,7 @@ def truth_and_video(out: Path) -> list[bytes]:
     return [(out / name).read_bytes() for name in ("truth.csv", "video.avi", "checks.csv")]
 
 
-def test_shear_writes_video_truth_parameters_and_pictures(tmp_path: Path) -> None:
+def test_shear_writes_video_ground_truth_parameters_and_images(tmp_path: Path) -> None:
     result = RUNNER.invoke(app, tiny_shear(tmp_path, "--steps", "40", "--scale", "3"))
     assert result.exit_code == 0, result.output
     assert "lattice updates/s" in result.output
@@ -75,12 +75,12 @@ def test_shear_writes_video_truth_parameters_and_pictures(tmp_path: Path) -> Non
     assert frames[0][90 - 45, 105 - 45].max() < 60
 
 
-def test_truth_is_that_of_a_drawn_droplet() -> None:
+def test_ground_truth_is_that_of_a_drawn_droplet() -> None:
     simulation = tiny_constriction()
     state = simulation.state
     labels = np.zeros_like(state.labels)
     labels[0, 10:20, 5:25] = 1.0  # 20 wide, 10 high
-    labels[1, 0, 0] = 0.3  # gone
+    labels[1, 0, 0] = 0.3  # as good as nothing
     labels[2, 7, 3] = 0.9
     simulation.load(simulation.arrays() | {"labels": labels, "step": 5})
     rows = ground_truth_rows(simulation, 4, scale=2)
@@ -179,13 +179,15 @@ def test_too_strong_a_tension_is_seen_as_unstable() -> None:
     assert trouble
 
 
-def test_camera_effects_change_the_picture_and_leave_the_truth(tmp_path: Path) -> None:
+def test_camera_effects_change_the_image_and_leave_the_ground_truth(tmp_path: Path) -> None:
     plain = tiny_shear(tmp_path / "plain", "--steps", "20")
-    flawed = tiny_shear(
-        tmp_path / "flawed", "--steps", "20", "--blur", "1", "--noise", "8", "--uneven", "0.5"
+    degraded = tiny_shear(
+        tmp_path / "degraded", "--steps", "20", "--blur", "1", "--noise", "8", "--uneven", "0.5"
     )
-    assert RUNNER.invoke(app, plain).exit_code == RUNNER.invoke(app, flawed).exit_code == 0
-    first, second = (read_trajectories(tmp_path / n / "truth.csv")[0] for n in ("plain", "flawed"))
+    assert RUNNER.invoke(app, plain).exit_code == RUNNER.invoke(app, degraded).exit_code == 0
+    first, second = (
+        read_trajectories(tmp_path / n / "truth.csv")[0] for n in ("plain", "degraded")
+    )
     assert (first.x == second.x).all()
     assert (first.boxes == second.boxes).all()
     shade = np.ones((20, 30))

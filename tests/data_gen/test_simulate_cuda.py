@@ -101,15 +101,16 @@ def rough_cores(params: fe.Params) -> fe.State:
     """Cores off their windows' middles, one across the periodic edge, in a disturbed flow."""
     rng = np.random.default_rng(1)
     state = fe.initial_state(params)
+    origins = state.origins
     shift = params.width // 2 - 2
     if params.window:
-        state.origins[:] += [[0, shift], [1, shift - 2]]
+        origins = origins + np.array([[0, shift], [1, shift - 2]])
         cores = np.roll(state.cores, (-1, 2), axis=(1, 2))
     else:
         cores = np.roll(state.cores, shift, axis=2)
     return replace(
         state, f=state.f * rng.uniform(0.97, 1.03, state.f.shape), step=49,
-        cores=cores + rng.uniform(0, 0.05, cores.shape),
+        origins=origins, cores=cores + rng.uniform(0, 0.05, cores.shape),
         outer=np.roll(state.outer, shift, axis=1),
     )  # fmt: skip
 

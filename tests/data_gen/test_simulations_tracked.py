@@ -1,4 +1,4 @@
-"""The paper's two flows at their small sizes, simulated and then tracked by the network that ships.
+"""The paper's two flows at their small sizes, simulated and then tracked by the bundled model.
 
 What docs/simulations.md says of longer and larger runs was measured in the same way.
 """
@@ -21,7 +21,7 @@ RUNNER = CliRunner()
 
 
 def simulate(out: Path, *arguments: str) -> tuple[Trajectories, dict[str, NDArray[np.float64]]]:
-    """The truth of a simulated flow and what was checked in each frame."""
+    """The ground truth of a simulated flow and what was checked in each frame."""
     result = RUNNER.invoke(app, [*arguments, "--out", str(out)])
     assert result.exit_code == 0, result.output
     truth, _ = read_trajectories(out / "truth.csv")
@@ -31,7 +31,7 @@ def simulate(out: Path, *arguments: str) -> tuple[Trajectories, dict[str, NDArra
 
 
 def tracked(folder: Path, truth: Trajectories) -> dict[str, float]:
-    """How well `droptrack track` as it comes follows the droplets of the video."""
+    """How well `droptrack track` with its defaults tracks the droplets of the video."""
     arguments = [str(folder / "video.avi"), "--out", str(folder / "tracks"), "--no-video"]
     result = RUNNER.invoke(track, arguments)
     assert result.exit_code == 0, result.output
@@ -46,7 +46,7 @@ def tracked(folder: Path, truth: Trajectories) -> dict[str, float]:
     }
 
 
-def test_four_cores_turn_as_in_the_paper_and_are_followed(tmp_path: Path) -> None:
+def test_four_cores_turn_as_in_the_paper_and_are_tracked(tmp_path: Path) -> None:
     truth, checks = simulate(tmp_path, "shear", "--cores", "4", "--steps", "15000")
     x, y = truth.x.reshape(-1, 4), truth.y.reshape(-1, 4)
     middle = np.array([x.mean(axis=1), y.mean(axis=1)])[:, :, None]
@@ -62,7 +62,7 @@ def test_four_cores_turn_as_in_the_paper_and_are_followed(tmp_path: Path) -> Non
     assert scores["mse_y_px2"] < 0.002
 
 
-def test_nineteen_droplets_pass_the_constriction_whole_and_are_followed(tmp_path: Path) -> None:
+def test_nineteen_droplets_pass_the_constriction_whole_and_are_tracked(tmp_path: Path) -> None:
     truth, checks = simulate(tmp_path, "constriction")
     assert checks["through"][-1] == 19
     assert checks["pieces"].max() == 1

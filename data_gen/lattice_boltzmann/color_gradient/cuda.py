@@ -1,9 +1,11 @@
-"""The colour-gradient model compiled for a GPU: the terms of reference.py, a thread a node.
+"""The colour-gradient model compiled for a GPU: the terms of reference.py, one thread per node.
 
 A step is three launches: `add_up`, `collide`, `transport`. Each thread gathers what its own node
 of the grid needs, from its neighbours and from every droplet whose window covers it, always in the
 same order: nothing is added by several threads, so results are the same in every run. Droplets and
 fluxes lie in their windows, (N, h, w) and (N, 2, h, w); fluxes hold rho q. Double precision.
+
+Kernels get their arrays one by one, as Numba needs them, however many they are.
 """
 
 import math
@@ -13,7 +15,7 @@ import numpy as np
 from numba import cuda
 
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
-from data_gen.lattice_boltzmann.color_gradient.compiled import Constants
+from data_gen.lattice_boltzmann.color_gradient.compiled_collision import Constants
 from data_gen.lattice_boltzmann.lattice import CX, CY, OPPOSITE, W
 
 TINY = cg.NO_GRADIENT

@@ -38,8 +38,13 @@ class Solver:
         """The state now; the next run overwrites its f."""
         if self._state is None:
             self._f.copy_to_host(self._host_f)
-            e, labels = self._e.copy_to_host(), self._labels.copy_to_host()
-            self._state = cg.State(self._host_f, e, labels, self._origins, self._step)
+            self._state = cg.State(
+                f=self._host_f,
+                emulsion=self._e.copy_to_host(),
+                labels=self._labels.copy_to_host(),
+                origins=self._origins,
+                step=self._step,
+            )
         return self._state
 
     def run(self, steps: int) -> None:
@@ -52,7 +57,7 @@ class Solver:
             self._state = None
 
     def _advance(self) -> None:
-        """One step: the launches follow each other on the GPU, nothing waits for them here."""
+        """One step: the launches queue on the GPU, nothing waits for them here."""
         p, launch = self.params, self._launch
         add_up[launch](self._labels, self._windows, self._total)
         collide[launch](

@@ -14,7 +14,7 @@ from droptrack.errors import DroptrackError
 WALL_RANGE = 3.6  # of the push of walls
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Params:
     """The parameters in lattice units. Raises DroptrackError for impossible ones."""
 
@@ -119,12 +119,13 @@ class Params:
 
 @functools.lru_cache(maxsize=4)
 def solid_nodes(params: Params) -> Bools:
-    """The channel's solid nodes, (H, W): above and below the throat."""
+    """The channel's solid nodes, (H, W), read-only: above and below the throat."""
     solid = np.zeros((params.height, params.width), bool)
     wall = (params.height - params.throat_height) // 2
     throat = slice(params.inlet_length, params.inlet_length + params.throat_length)
     solid[:wall, throat] = True
     solid[params.height - wall :, throat] = True
+    solid.flags.writeable = False
     return solid
 
 
@@ -132,20 +133,22 @@ def solid_nodes(params: Params) -> Bools:
 def wall_push(params: Params) -> Floats:
     """Unit vectors away from walls times 2^-(d - 1), (2, H, W), for distances d < WALL_RANGE.
 
-    d is the distance to the centre of the nearest solid node, 1 beside a wall.
+    Read-only; d is the distance to the centre of the nearest solid node, 1 beside a wall.
     """
     solid = np.pad(solid_nodes(params), ((1, 1), (0, 0)), constant_values=True)
     d, nearest = ndimage.distance_transform_edt(~solid, return_indices=True)
     y, x = np.mgrid[: d.shape[0], : d.shape[1]]
     away = np.stack([x - nearest[1], y - nearest[0]]) / np.maximum(d, 1)
     push = away * 2.0 ** (1 - d) * ((d < WALL_RANGE) & (d > 0))
-    return np.ascontiguousarray(push[:, 1:-1])
+    push = np.ascontiguousarray(push[:, 1:-1])
+    push.flags.writeable = False
+    return push
 
 
 def power_cells(n: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Sites (N, 2) and weights (N,) of n cells of equal area in the unit disc.
 
-    Centroidal power diagram, by turns of Lloyd's step and of weights that follow the areas.
+    Centroidal power diagram, by turns of Lloyd's step and of weights that correct the areas.
     """
     t = (np.arange(160) + 0.5) / 80 - 1
     points = np.stack(np.meshgrid(t, t), axis=-1).reshape(-1, 2)
@@ -193,12 +196,12 @@ def droplet_fractions(params: Params, rng: np.random.Generator) -> tuple[Floats,
             if j != k:
                 apart = np.hypot(*(sites[j] - sites[k]))
                 np.minimum(depth[k], (power[j] - power[k]) / (2 * apart), out=depth[k])
-    least, most = -3.0, radius
+    low, high = -3.0, radius
     wanted = params.droplets * math.pi * params.radius**2
     for _ in range(40):
-        shrink = (least + most) / 2
+        shrink = (low + high) / 2
         total = ((1 + np.tanh(s * (depth - shrink))) / 2).sum()
-        least, most = (shrink, most) if total > wanted else (least, shrink)
+        low, high = (shrink, high) if total > wanted else (low, shrink)
     inlet = labels[:, :, : params.inlet_length]
     inlet[:, near] = (1 + np.tanh(s * (depth - shrink))) / 2
     return labels, emulsion

@@ -1,7 +1,7 @@
 """Dense emulsion through a constriction: the colour-gradient model of the paper's appendix A.
 
 Lattice units, fields indexed [y, x] with y up. This file is the reference in plain NumPy, one
-function a term; compiled.py compiles the same terms.
+function per term; compiled_*.py compile the same terms.
 
 The paper's two sets of populations cannot keep 49 droplets apart and countable. Here one set f
 carries the whole fluid, and mass fractions say what it is made of: c_k for each droplet, E for the
@@ -13,7 +13,7 @@ Sources: Latva-Kokko and Rothman, PRE 71, 056702 (2005) for the recolouring; Mon
 J. Fluid Mech. 872, 327 (2019) for the near-contact force; Leclaire et al. (2012) for B_i.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,9 +37,9 @@ NOTHING = 1e-11  # fractions below are set to 0, so that droplets end
 CONTACT_GRADIENT = 0.005  # above, a node belongs to an interface
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class State:
-    """What a step changes.
+    """What a step changes. Only the names are frozen: a solver's next run overwrites f in place.
 
     f (9, H, W) populations, 0 in solid nodes; emulsion (H, W) the fraction E; labels (N, h, w) the
     fractions c_k in windows; origins (N, 2) int64, the [y, x] of their lower left nodes; step.
@@ -217,7 +217,7 @@ def step(params: Params, state: State) -> State:
         arrived = stream_in_window(leaving, solid, state.origins[k])
         labels[k] = lattice.density(arrived) / rho_new[at]
         labels[k][np.abs(labels[k]) < NOTHING] = 0
-    return State(f, emulsion, labels, state.origins, state.step + 1)
+    return State(f=f, emulsion=emulsion, labels=labels, origins=state.origins, step=state.step + 1)
 
 
 def stream_in_window(leaving: Floats, solid: Bools, origin: NDArray[np.int64]) -> Floats:
@@ -238,7 +238,7 @@ def stream_in_window(leaving: Floats, solid: Bools, origin: NDArray[np.int64]) -
 def recentre(params: Params, state: State) -> State:
     """Move every window by whole nodes so that its droplet's box is in its middle."""
     labels, origins = centred(params, state.labels, state.origins)
-    return State(state.f, state.emulsion, labels, origins, state.step)
+    return replace(state, labels=labels, origins=origins)
 
 
 def centred(
@@ -271,12 +271,12 @@ def patches(state: State) -> list[tuple[Floats, Floats]]:
 
 
 def shade(state: State) -> Floats:
-    """Brightness of the picture, (H, W) in 0..1: white droplets with dark films between them."""
-    most = np.zeros_like(state.emulsion)
+    """Brightness of the image, (H, W) in 0..1: white droplets with dark films between them."""
+    highest = np.zeros_like(state.emulsion)
     for k, label in enumerate(state.labels):
         at = nodes(state, k)
-        most[at] = np.maximum(most[at], label)
-    return np.asarray(np.clip((2 * most - label_sum(state) - 0.25) / 0.5, 0, 1))
+        highest[at] = np.maximum(highest[at], label)
+    return np.asarray(np.clip((2 * highest - label_sum(state) - 0.25) / 0.5, 0, 1))
 
 
 def masses(state: State) -> Floats:
@@ -307,4 +307,5 @@ def state_of(params: Params, whole: Floats, emulsion: Floats) -> State:
     labels[labels < NOTHING] = 0
     rho = np.where(solid, 0.0, params.rho_0)
     f = lattice.equilibrium(rho, np.zeros((2, params.height, params.width)))
-    return State(f, np.where(emulsion < NOTHING, 0, emulsion), labels, origins, 0)
+    emulsion = np.where(emulsion < NOTHING, 0, emulsion)
+    return State(f=f, emulsion=emulsion, labels=labels, origins=origins, step=0)

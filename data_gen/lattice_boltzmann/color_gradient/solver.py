@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from data_gen.lattice_boltzmann import lattice
 from data_gen.lattice_boltzmann.color_gradient import reference as cg
-from data_gen.lattice_boltzmann.color_gradient.compiled import Constants, Links, advance
+from data_gen.lattice_boltzmann.color_gradient.compiled_collision import Constants, collide
+from data_gen.lattice_boltzmann.color_gradient.compiled_transport import Links, transport
 from data_gen.lattice_boltzmann.color_gradient.geometry import Params, solid_nodes, wall_push
 from data_gen.lattice_boltzmann.cpu_threads import count_threads
 from data_gen.lattice_boltzmann.lattice import CX, CY, OPPOSITE
@@ -39,17 +40,16 @@ def spans_of(labels: Floats) -> NDArray[np.int64]:
 
 def constants(params: Params) -> Constants:
     """The constants of a parameter set."""
-    p = params
-    values = (
-        p.beta,
-        1 / p.tau,
-        4.5 * p.sigma / p.tau,
-        p.near_contact * p.sigma,
-        p.contact_distance,
-        p.wall_force,
-        p.rho_0,
+    return Constants(
+        beta=float(params.beta),
+        omega=1 / params.tau,
+        perturbation=4.5 * params.sigma / params.tau,
+        contact=params.near_contact * params.sigma,
+        distance=float(params.contact_distance),
+        wall_force=float(params.wall_force),
+        no_gradient=cg.NO_GRADIENT,
+        contact_gradient=cg.CONTACT_GRADIENT,
     )
-    return Constants(*map(float, values))
 
 
 class Solver:
@@ -64,7 +64,7 @@ class Solver:
         solid = solid_nodes(params)
         self._links = wall_links(solid)
         self._fluid = np.where(solid, 0.0, 1.0)
-        self._push = wall_push(params)
+        self._push = wall_push(params).copy()  # writable, as the kernels take arrays
         shape = (params.height + 2, params.width + 2)
         self._post, self._q_e = np.zeros((9, *shape)), np.zeros((2, *shape))
 
@@ -85,21 +85,35 @@ class Solver:
 
     def _advance(self, steps: int) -> None:
         """Steps without a move of the windows."""
-        s = self._state
-        inlet = [
-            6 * self.params.rho_0 * self.params.inlet_velocity(s.step + k) for k in range(steps)
-        ]
-        rim = ((0, 0), (1, 1), (1, 1))
-        e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, rim)
-        q, spans, e_spans = np.zeros((2, *labels.shape)), spans_of(labels), self._e_spans()
-        e, labels = advance(
-            steps, s.f, self._post, e, e.copy(), self._q_e, cg.label_sum(s), labels, labels.copy(),
-            q, spans, spans.copy(), e_spans, e_spans.copy(), s.origins, self._fluid, self._push,
-            self._links, np.array(inlet), self._constants, 8 * count_threads(),
-        )  # fmt: skip
+        s, rho_0, blocks = self._state, float(self.params.rho_0), 8 * count_threads()
+        total = cg.label_sum(s)
+        e, labels = np.pad(s.emulsion, 1), np.pad(s.labels, ((0, 0), (1, 1), (1, 1)))
+        spans, e_spans = spans_of(labels), self._e_spans()
+        q = np.zeros((2, *labels.shape))
+        e_new, labels_new = e.copy(), labels.copy()
+        spans_new, e_spans_new = spans.copy(), e_spans.copy()
+        for step in range(s.step, s.step + steps):
+            collide(
+                s.f, self._post, e, self._q_e, total, labels, q, spans, e_spans, s.origins,
+                self._fluid, self._push, self._constants, blocks,
+            )  # fmt: skip
+            transport(
+                s.f, self._post, e, e_new, self._q_e, total, labels, labels_new, q, spans,
+                spans_new, e_spans, e_spans_new, s.origins, self._fluid, self._links,
+                6 * rho_0 * self.params.inlet_velocity(step), rho_0, cg.NOTHING, blocks,
+            )  # fmt: skip
+            e, e_new = e_new, e
+            labels, labels_new = labels_new, labels
+            spans, spans_new = spans_new, spans
+            e_spans, e_spans_new = e_spans_new, e_spans
         inner = (slice(1, -1), slice(1, -1))
-        fields = e[inner].copy(), labels[(slice(None), *inner)].copy()
-        self._state = cg.State(s.f, *fields, s.origins, s.step + steps)
+        self._state = cg.State(
+            f=s.f,
+            emulsion=e[inner].copy(),
+            labels=labels[(slice(None), *inner)].copy(),
+            origins=s.origins,
+            step=s.step + steps,
+        )
 
     def _e_spans(self) -> NDArray[np.int64]:
         """Spans of where the emulsion or any droplet is, (H + 2, 2)."""

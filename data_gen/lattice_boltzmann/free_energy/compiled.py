@@ -3,6 +3,9 @@
 Each row of the grid is one thread's work from its own inputs, so results do not depend on the
 number of threads. Rows are worked off in pieces of PIECE nodes that are copied into slots of one
 small flat buffer: LLVM then sees constant distances between all operands and vectorises.
+
+Kernels get their arrays one by one, as Numba needs them, however many they are. Numba keeps what it
+compiled until this very file changes, so no function of another file is called.
 """
 
 from typing import Any, NamedTuple

@@ -1,9 +1,11 @@
-"""The free-energy model compiled for a GPU: the terms of reference.py, a thread a node.
+"""The free-energy model compiled for a GPU: the terms of reference.py, one thread per node.
 
 A step is two launches: `collide`, `transport`. Each thread gathers what its own node of the grid
 needs, from its neighbours and from every core whose window covers it, always in the same order:
 nothing is added by several threads, so results are the same in every run. Fields have no rims:
 beyond a wall, or the edge of a window, lies the mirrored field. Double precision.
+
+Kernels get their arrays one by one, as Numba needs them, however many they are.
 """
 
 from typing import Any

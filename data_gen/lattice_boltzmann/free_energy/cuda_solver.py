@@ -37,9 +37,13 @@ class Solver:
     def state(self) -> fe.State:
         """The state now."""
         if self._state is None:
-            f, outer = self._f.copy_to_host(), self._outer.copy_to_host()
-            cores = self._cores.copy_to_host()
-            self._state = fe.State(f, outer, cores, self._origins, self._step)
+            self._state = fe.State(
+                f=self._f.copy_to_host(),
+                outer=self._outer.copy_to_host(),
+                cores=self._cores.copy_to_host(),
+                origins=self._origins,
+                step=self._step,
+            )
         return self._state
 
     def run(self, steps: int) -> None:
@@ -52,7 +56,7 @@ class Solver:
             self._state = None
 
     def _advance(self) -> None:
-        """One step: the launches follow each other on the GPU, nothing waits for them here."""
+        """One step: the launches queue on the GPU, nothing waits for them here."""
         p, launch, periodic = self.params, self._launch, self.params.window == 0
         collide[launch](
             self._f, self._post, self._u, self._outer, self._outer_mu, self._cores,

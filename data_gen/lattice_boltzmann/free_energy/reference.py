@@ -2,7 +2,7 @@
 
 Every core has a field psi_i (psi_0 inside, 0 outside), the fluid around the shell a further one;
 the shell is where all of them are 0. Lattice units, fields indexed [y, x] with y up. This file is
-the reference in plain NumPy, one function a term; compiled.py compiles the same terms.
+the reference in plain NumPy, one function per term; compiled.py compiles the same terms.
 
 Where the paper cannot be taken at its word:
 - Its repulsion eps psi_i psi_j is bilinear: it has no minimum at psi_i = 0 where psi_j = psi_0, so
@@ -17,13 +17,13 @@ Where the paper cannot be taken at its word:
   behind it by a fifth, with fourth-order fluxes (`flux_order` 4) by a twenty-fifth, and the cores
   turn faster. The default is the scheme usual for this model, to compare with others' figures.
 
-By default a core's field lives in a window that follows it (`window`): a third of the cost, and
+By default a core's field lives in a window that moves with it (`window`): a third of the cost, and
 what a core dissolves stays in its window, so that small cores do not dissolve away, as they do on
 the whole grid (`window` 0) at a rate that the real fluids' far smaller solubility would not allow.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -36,7 +36,7 @@ from droptrack.errors import DroptrackError
 RECENTRE_STEPS = 50  # between moves of the windows
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Params:
     """The parameters of the paper, in lattice units. Raises DroptrackError for impossible ones."""
 
@@ -82,7 +82,7 @@ class Params:
         self._check_room()
 
     def _check_diffusion(self) -> None:
-        stiffness = 16 / 3  # largest eigenvalue of - the Laplacian
+        stiffness = 16 / 3  # maximum eigenvalue of - the Laplacian
         well = self.a * self.psi_0**2 / 2
         growth = self.mobility * stiffness * (well + self.k * stiffness)
         if growth > 2:
@@ -122,10 +122,10 @@ class Params:
                 f"{self.width} x {self.height}"
             )
         if self.window:
-            least = math.ceil(2 * self.core_radius + 8 * self.width_of_interface)
-            if not least <= self.window <= min(self.width, self.height):
+            minimum = math.ceil(2 * self.core_radius + 8 * self.width_of_interface)
+            if not minimum <= self.window <= min(self.width, self.height):
                 raise DroptrackError(
-                    f"window {self.window}: should be {least} or more for cores of radius "
+                    f"window {self.window}: should be {minimum} or more for cores of radius "
                     f"{self.core_radius:g}, and no larger than the channel; or 0 for none"
                 )
 
@@ -155,9 +155,9 @@ class Params:
         return (self.window, self.window) if self.window else (self.height, self.width)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class State:
-    """What a step changes.
+    """What a step changes. Arrays become read-only.
 
     f (9, H, W) populations; outer (H, W) the outer fluid's field; cores (M, h, w) the cores';
     origins (M, 2) int64, the [y, x] of their windows' lower left nodes, x not wrapped; step.
@@ -168,6 +168,10 @@ class State:
     cores: Floats
     origins: NDArray[np.int64]
     step: int
+
+    def __post_init__(self) -> None:
+        for array in (self.f, self.outer, self.cores, self.origins):
+            array.flags.writeable = False
 
 
 def core_centres(params: Params) -> Floats:
@@ -214,7 +218,7 @@ def initial_state(params: Params) -> State:
         cores[i] = core[nodes(params, origins[i])]
     rho = np.full((params.height, params.width), params.rho_0)
     f = lattice.equilibrium(rho, np.zeros((2, params.height, params.width)))
-    return State(f, outer, cores, origins, 0)
+    return State(f=f, outer=outer, cores=cores, origins=origins, step=0)
 
 
 def nodes(params: Params, origin: NDArray[np.int64]) -> tuple[Any, ...]:
@@ -329,7 +333,7 @@ def step(params: Params, state: State) -> State:
         local = u[(slice(None), *nodes(params, origin))]
         periodic = params.window == 0
         cores[i] = transport(params, state.cores[i], mus[i], local, periodic_x=periodic)
-    return State(f, outer, cores, state.origins, state.step + 1)
+    return State(f=f, outer=outer, cores=cores, origins=state.origins, step=state.step + 1)
 
 
 def wall_velocities(params: Params, step: int) -> tuple[float, float]:
@@ -353,13 +357,13 @@ def recentre(params: Params, state: State) -> State:
         move[0] = np.clip(origin[0] + move[0], 0, params.height - params.window) - origin[0]
         cores[i] = np.roll(core, (-move[0], -move[1]), axis=(0, 1))
         origins[i] += move
-    return State(state.f, state.outer, cores, origins, state.step)
+    return replace(state, cores=cores, origins=origins)
 
 
 def patches(params: Params, state: State) -> list[tuple[Floats, Floats]]:
     """For every core: psi_i / psi_0, (h, w), and the [y, x] of that array's corner.
 
-    x as in the picture; a core on the whole grid is rolled so that x does not wrap within it.
+    x as in the image; a core on the whole grid is rolled so that x does not wrap within it.
     """
     found = []
     for core, origin in zip(state.cores, state.origins.astype(float), strict=True):
@@ -380,7 +384,7 @@ def patches(params: Params, state: State) -> list[tuple[Floats, Floats]]:
 
 
 def shade(params: Params, state: State) -> Floats:
-    """Brightness of the picture, (H, W) in 0..1: white cores in a black shell on white."""
+    """Brightness of the image, (H, W) in 0..1: white cores in a black shell on white."""
     total = state.outer.copy()
     for core, origin in zip(state.cores, state.origins, strict=True):
         total[nodes(params, origin)] += core

@@ -11,19 +11,18 @@ from droptrack.data.arrays import Floats
 
 def constants(params: fe.Params) -> Constants:
     """The constants of a parameter set."""
-    values = (
-        params.a,
-        params.k,
-        params.mobility,
-        params.epsilon,
-        params.epsilon_quadratic,
-        params.psi_0,
-        params.force_x,
-        1 / params.tau_plus,
-        1 / params.tau_minus,
-        1 if params.flux_order == 4 else 0,
+    return Constants(
+        a=float(params.a),
+        k=float(params.k),
+        mobility=float(params.mobility),
+        epsilon=float(params.epsilon),
+        epsilon_quadratic=float(params.epsilon_quadratic),
+        psi_0=float(params.psi_0),
+        force_x=float(params.force_x),
+        omega_plus=1 / params.tau_plus,
+        omega_minus=1 / params.tau_minus,
+        outer=1.0 if params.flux_order == 4 else 0.0,
     )
-    return Constants(*map(float, values))
 
 
 class Solver:
@@ -71,8 +70,13 @@ class Solver:
             4 * count_threads(),
         )  # fmt: skip
         inner = (slice(RIM, -RIM), slice(RIM, -RIM))
-        fields = outer[inner].copy(), cores[(slice(None), *inner)].copy()
-        return fe.State(f, *fields, s.origins, s.step + steps)
+        return fe.State(
+            f=f,
+            outer=outer[inner].copy(),
+            cores=cores[(slice(None), *inner)].copy(),
+            origins=s.origins,
+            step=s.step + steps,
+        )
 
 
 def _with_rim(fields: Floats, *, periodic_x: bool) -> Floats:

@@ -72,7 +72,7 @@ def stages(
     with tempfile.TemporaryDirectory() as name, side_by_side(1):
         folder = Path(name)
         write_video(folder / "video.avi", frames + 1)
-        detector = choose_detector(Network(*find_network(), MIN_SCORE, MAX_IOU))
+        detector = choose_detector(Network(*find_network(), threshold=MIN_SCORE, max_iou=MAX_IOU))
         engine = detector.engine
         tracker, _ = make_tracker(TrackerConfig())
         session = TrackingSession(tracker)

@@ -168,7 +168,7 @@ def run_case(case: Case, video: Path, folder: Path, batch: int, measured: Measur
 def detector(cfg: Cfg, weights: Path, backend: str, precision: str) -> Detector | None:
     """A detector, or None (said) where there is none."""
     try:
-        network = Network(cfg, weights, MIN_SCORE, MAX_IOU)
+        network = Network(cfg, weights, threshold=MIN_SCORE, max_iou=MAX_IOU)
         return choose_detector(network, Backend(backend), Precision(precision))
     except DroptrackError as error:
         console.print(f"left out: {error}")
@@ -370,7 +370,7 @@ def track_again(video: Path, frames: int) -> None:
                 yield number, frame
                 number += 1
 
-    found = choose_detector(Network(*find_network(), MIN_SCORE, MAX_IOU))
+    found = choose_detector(Network(*find_network(), threshold=MIN_SCORE, max_iou=MAX_IOU))
     start = time.perf_counter()
     results = track(islice(endless(), frames), found, video.with_suffix(".csv"))
     seconds = time.perf_counter() - start

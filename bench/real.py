@@ -206,7 +206,10 @@ class ScaledFinder:
         canvas = Canvas.of(image.shape[1], image.shape[0], self.scale)
         if canvas.network not in self._detectors:
             network = Network(
-                resized(self._cfg, *canvas.network), self._weights, MIN_SCORE, MAX_IOU
+                resized(self._cfg, *canvas.network),
+                self._weights,
+                threshold=MIN_SCORE,
+                max_iou=MAX_IOU,
             )
             self._detectors[canvas.network] = choose_detector(network, precision=Precision.fp32)
         frame = canvas.extended(grey_frame(image))

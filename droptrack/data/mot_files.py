@@ -38,7 +38,7 @@ def write_detections(path: Path, frames: Sequence[Detections]) -> None:
     path.write_text("".join(row + "\n" for row in rows), encoding="utf-8")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DetectionFile:
     """A file all of whose rows are detections; iterate over it for the frames, one by one.
 
@@ -87,7 +87,14 @@ def open_detections(path: Path) -> DetectionFile:
         n_rows, last = n_rows + len(table), int(frames[-1])
         n_frames = max(n_frames, int(frames.max()))
         corner = np.maximum(corner, (table[:, 2:4] + table[:, 4:6]).max(axis=0))
-    return DetectionFile(path, n_frames, n_rows, float(corner[0]), float(corner[1]), out_of_order)
+    return DetectionFile(
+        path=path,
+        n_frames=n_frames,
+        n_rows=n_rows,
+        right=float(corner[0]),
+        bottom=float(corner[1]),
+        out_of_order=out_of_order,
+    )
 
 
 def _blocks(path: Path) -> Iterator[Floats]:

@@ -25,7 +25,7 @@ COLUMNS = ("frame", "track_id", "x", "y", "w", "h", "score", "observed")
 BOX_CENTRE = ("box_x", "box_y")  # further columns of ours
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trajectories:
     """M positions of droplets, sorted by (frame, track_id), pairs unique.
 

@@ -3,7 +3,7 @@
 import ctypes.util
 import importlib.util
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from pathlib import Path
 
@@ -60,6 +60,7 @@ class Network:
 
     cfg: Cfg
     weights_path: Path
+    _: KW_ONLY
     threshold: float
     max_iou: float
     dark: bool = False

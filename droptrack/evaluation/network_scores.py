@@ -36,7 +36,7 @@ def darknet_detector(
     dark: bool = False,
 ) -> Detector:
     """A detector whose detections are those Darknet's mAP is computed from; `dark`: `Detector`."""
-    network = Network(cfg, weights, MIN_SCORE, MAX_IOU, dark=dark, greedy=True)
+    network = Network(cfg, weights, threshold=MIN_SCORE, max_iou=MAX_IOU, dark=dark, greedy=True)
     return choose_detector(network, backend, precision)
 
 

@@ -14,7 +14,7 @@ DRAWN_STEP_PX = 2.0  # minimum distance between points of a drawn line
 MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
 
 
-@dataclass
+@dataclass(kw_only=True)
 class DropletPath:
     """One droplet's path; `points` are x, y of its line for drawing."""
 
@@ -61,7 +61,9 @@ class Paths:
             ids.tolist(), starts.tolist(), ends, observed.tolist(), diameters.tolist(), strict=True
         ):
             one = slice(start, end)
-            born = DropletPath(frames[start], frames[start], xs[start], ys[start])
+            born = DropletPath(
+                first_frame=frames[start], last_frame=frames[start], x=xs[start], y=ys[start]
+            )
             path = self._paths.setdefault(track_id, born)
             path.add(frames[end - 1], xs[one], ys[one])
             path.n_observed += n_observed

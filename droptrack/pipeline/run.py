@@ -118,7 +118,14 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
         decoding.load_loops()
         centre_of_mass.load_loops()
     detector = choose_detector(
-        Network(network, weights, config.score, config.max_iou, config.dark, canvas=canvas),
+        Network(
+            network,
+            weights,
+            threshold=config.score,
+            max_iou=config.max_iou,
+            dark=config.dark,
+            canvas=canvas,
+        ),
         config.backend,
         config.precision,
         live=live,

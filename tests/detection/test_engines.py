@@ -62,7 +62,7 @@ ROUNDED = [
 
 
 def detector(backend: str, precision: str = "fp32", threshold: float = 0.25) -> Detector:
-    network = Network(CFG, BUNDLED_WEIGHTS, threshold, 0.45)
+    network = Network(CFG, BUNDLED_WEIGHTS, threshold=threshold, max_iou=0.45)
     return choose_detector(network, Backend(backend), Precision(precision))
 
 
@@ -203,7 +203,7 @@ def test_an_engine_that_fails_is_passed_over_by_auto_and_named(
     monkeypatch.setattr(
         "droptrack.detection.engine_choice._installed", lambda package: package != "torch"
     )
-    network = Network(resized(CFG, 96, 64), BUNDLED_WEIGHTS, 0.25, 0.45)
+    network = Network(resized(CFG, 96, 64), BUNDLED_WEIGHTS, threshold=0.25, max_iou=0.45)
     said: list[str] = []
     chosen = choose_detector(network, say=said.append)
     assert chosen.engine.name == "opencv fp32"
@@ -230,9 +230,9 @@ def test_auto_takes_int8_where_it_is_calibrated_else_bf16(
     monkeypatch.setattr(
         "droptrack.detection.engines.openvino.computes_faster_in", faster.__contains__
     )
-    network = Network(CFG, BUNDLED_WEIGHTS, 0.25, 0.45)
+    network = Network(CFG, BUNDLED_WEIGHTS, threshold=0.25, max_iou=0.45)
     assert choose_detector(network).engine.name == f"openvino {calibrated}, pruned"
-    network = Network(resized(CFG, 96, 64), BUNDLED_WEIGHTS, 0.25, 0.45)
+    network = Network(resized(CFG, 96, 64), BUNDLED_WEIGHTS, threshold=0.25, max_iou=0.45)
     assert choose_detector(network).engine.name == f"openvino {other}"
     with pytest.raises(DroptrackError, match=r"calibrate --weights .* --size 96x64"):
         choose_detector(network, Backend.openvino, Precision.int8)

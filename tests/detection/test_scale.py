@@ -51,7 +51,9 @@ def test_discs_of_a_square_image_are_found_as_discs() -> None:
     draw_ellipses(image, discs, 255)
     cfg, weights = find_network()
     canvas = Canvas.like(500, 500, (cfg.width, cfg.height))
-    network = Network(resized(cfg, *canvas.network), weights, 0.4, 0.3, canvas=canvas)
+    network = Network(
+        resized(cfg, *canvas.network), weights, threshold=0.4, max_iou=0.3, canvas=canvas
+    )
     (found,) = choose_detector(network, precision=Precision.fp32).detect([grey_frame(image)])
     boxes = found.boxes[np.argsort(found.boxes[:, 0])]
     np.testing.assert_allclose(boxes[:, :2], discs[:, :2], atol=1.5)

@@ -179,5 +179,7 @@ def test_the_command_calibrates_on_a_data_set(tmp_path: Path, error: str, pruned
     assert kept.losses[0] <= quantisation.MAX_LOSS
     assert kept.pruning.kept.keys() >= ({8, 10, 12, 14, 21} if pruned else set())
     assert bool(kept.pruning.reconstructions) == pruned
-    engine = choose_detector(Network(cfg, weights, 0.25, 0.45), precision=Precision.int8).engine
+    engine = choose_detector(
+        Network(cfg, weights, threshold=0.25, max_iou=0.45), precision=Precision.int8
+    ).engine
     assert engine.name == "openvino int8" + pruned * ", pruned"

@@ -93,7 +93,9 @@ def test_precision_on_fresh_images(scene: str, floor: float) -> None:
 
 def shipped(threshold: float) -> Detector:
     cfg = read_cfg(find_cfg(BUNDLED_WEIGHTS))
-    return choose_detector(Network(cfg, BUNDLED_WEIGHTS, threshold, 0.45, greedy=True))
+    return choose_detector(
+        Network(cfg, BUNDLED_WEIGHTS, threshold=threshold, max_iou=0.45, greedy=True)
+    )
 
 
 def test_a_batch_of_frames_gives_what_single_frames_give(sine: Path) -> None:

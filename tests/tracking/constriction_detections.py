@@ -33,7 +33,9 @@ def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
     Lengths are in STEP_PX.
     """
     network = read_cfg(find_cfg(BUNDLED_WEIGHTS))
-    detector = choose_detector(Network(network, BUNDLED_WEIGHTS, 0.4, 0.3), Backend.opencv)
+    detector = choose_detector(
+        Network(network, BUNDLED_WEIGHTS, threshold=0.4, max_iou=0.3), Backend.opencv
+    )
     found = []
     for number, frame in enumerate(Video(str(folder / "video.avi"))):
         boxes = detector.detect([frame])[0].boxes

@@ -3,6 +3,7 @@
 from droptrack.anchors import main as anchors
 from droptrack.calibrate import main as calibrate
 from droptrack.command_line import new_app
+from droptrack.detect import main as detect
 from droptrack.evaluate import main as evaluate
 from droptrack.export import main as export
 from droptrack.track import main as track
@@ -10,6 +11,7 @@ from droptrack.train import main as train
 
 app = new_app()
 app.command("track")(track)
+app.command("detect")(detect)
 app.command("train")(train)
 app.command("evaluate")(evaluate)
 app.command("calibrate")(calibrate)

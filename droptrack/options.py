@@ -24,3 +24,18 @@ PrecisionOption = Annotated[
     Precision,
     typer.Option(help="What the network computes in; auto: the fastest checked; fp32: exact."),
 ]
+ScaleOption = Annotated[
+    float | None,
+    typer.Option(min=0.01, help="Px of the network's input for a px of the frames; not --size."),
+]
+DiameterOption = Annotated[
+    float | None,
+    typer.Option(min=1, help="Diameter of a typical droplet, px of the frames, for the scale."),
+]
+ScoreOption = Annotated[float, typer.Option(min=0, max=1, help="Minimum score of a droplet.")]
+MaxIouOption = Annotated[
+    float, typer.Option(min=0, max=1, help="IoU above which two boxes are one droplet.")
+]
+DarkOption = Annotated[
+    bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
+]

@@ -10,7 +10,18 @@ from droptrack.api import track
 from droptrack.command_line import also_call, new_app, one_line_errors
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
-from droptrack.options import BackendOption, CfgOption, PrecisionOption, SizeOption, WeightsOption
+from droptrack.options import (
+    BackendOption,
+    CfgOption,
+    DarkOption,
+    DiameterOption,
+    MaxIouOption,
+    PrecisionOption,
+    ScaleOption,
+    ScoreOption,
+    SizeOption,
+    WeightsOption,
+)
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, DetectionsConfig, TrackingConfig
 from droptrack.pipeline.from_detections import run_detections
 from droptrack.pipeline.run import run
@@ -43,16 +54,8 @@ def main(
     backend: BackendOption = Backend.auto,
     precision: PrecisionOption = Precision.auto,
     size: SizeOption = None,
-    scale: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01, help="Px of the network's input for a px of the video, instead of --size."
-        ),
-    ] = None,
-    diameter: Annotated[
-        float | None,
-        typer.Option(min=1, help="Diameter of a typical droplet, px of the video, for the scale."),
-    ] = None,
+    scale: ScaleOption = None,
+    diameter: DiameterOption = None,
     live: Annotated[
         bool | None,
         typer.Option(
@@ -60,15 +63,9 @@ def main(
             help="Always take the newest frame and drop others; default for cameras and streams.",
         ),
     ] = None,
-    score: Annotated[
-        float, typer.Option(min=0, max=1, help="Minimum score of a droplet.")
-    ] = MIN_SCORE,
-    max_iou: Annotated[
-        float, typer.Option(min=0, max=1, help="IoU above which two boxes are one droplet.")
-    ] = MAX_IOU,
-    dark: Annotated[
-        bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
-    ] = False,
+    score: ScoreOption = MIN_SCORE,
+    max_iou: MaxIouOption = MAX_IOU,
+    dark: DarkOption = False,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")

@@ -52,7 +52,7 @@ class Video:
         if path.is_dir():
             self.live = False
             self._frames = _read_images(path)
-            claimed, fps = len(_image_files(path)), DEFAULT_FPS
+            claimed, fps = len(image_files(path)), DEFAULT_FPS
         else:
             if not path.exists() and not source.isdigit() and "://" not in source:
                 raise DroptrackError(f"{source}: no such video, image folder or camera")
@@ -241,7 +241,8 @@ def _without_colour(frame: Frame) -> Frame | None:
     return grey_frame(green) if colour <= GREY else None
 
 
-def _image_files(folder: Path) -> list[Path]:
+def image_files(folder: Path) -> list[Path]:
+    """The images of a folder, in the order of the numbers in their names."""
     files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
     numbers = re.compile(r"(\d+)")
 
@@ -254,7 +255,7 @@ def _image_files(folder: Path) -> list[Path]:
 
 
 def _read_images(folder: Path) -> Iterator[tuple[int, Frame]]:
-    for index, path in enumerate(_image_files(folder)):
+    for index, path in enumerate(image_files(folder)):
         image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if image is not None:
             yield index, as_frame(image)

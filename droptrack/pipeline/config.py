@@ -11,22 +11,16 @@ MAX_IOU = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingConfig:
-    """How to track the droplets of a video.
+class DetectorConfig:
+    """How to find droplets.
 
-    `video`: a file, a folder of images, the index of a camera, or the address of a stream. `out`:
-    the folder for the results, default ``tracks/<the video's name>``. `weights`, `cfg` and `size`:
-    the network, see `network.bundled.find_network`. `scale`: px of the network's input for a px of
-    the video, or `diameter_px`, the diameter of a typical droplet in the video, from which the
-    scale follows; without, the input is as large as the network's own. `live`: always take the
-    newest frame and drop others; default for cameras and streams. `score`: the minimum score of a
-    droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets are darker
-    than their surroundings. `batch`: frames that the network takes at once. `max_frames`: stop
-    after so many; 0: never.
+    `weights`, `cfg` and `size`: the network, see `network.bundled.find_network`. `scale`: px of the
+    network's input for a px of the frames, or `diameter_px`, the diameter of a typical droplet in
+    the frames, from which the scale follows; without, the input is as large as the network's own,
+    and has the frames' shape. `score`: the minimum score of a droplet. `max_iou`: the IoU above
+    which two boxes are one droplet. `dark`: droplets are darker than their surroundings.
     """
 
-    video: str
-    out: Path | None = None
     weights: Path | None = None
     cfg: Path | None = None
     size: str | None = None
@@ -34,10 +28,24 @@ class TrackingConfig:
     diameter_px: float | None = None
     backend: Backend = Backend.auto
     precision: Precision = Precision.auto
-    live: bool | None = None
     score: float = MIN_SCORE
     max_iou: float = MAX_IOU
     dark: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingConfig(DetectorConfig):
+    """How to track the droplets of a video.
+
+    `video`: a file, a folder of images, the index of a camera, or the address of a stream. `out`:
+    the folder for the results, default ``tracks/<the video's name>``. `live`: always take the
+    newest frame and drop others; default for cameras and streams. `batch`: frames that the network
+    takes at once. `max_frames`: stop after so many; 0: never.
+    """
+
+    video: str
+    out: Path | None = None
+    live: bool | None = None
     batch: int = 1
     max_frames: int = 0
     annotated_video: bool = True
@@ -47,6 +55,19 @@ class TrackingConfig:
     def folder(self) -> Path:
         """The folder for the results."""
         return self.out or Path("tracks") / (Path(self.video).stem or "camera")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagesConfig(DetectorConfig):
+    """How to find the droplets of single images.
+
+    `sources`: images, folders of images, and videos. `out`: the folder for the results.
+    `annotated`: write the images with the boxes, too.
+    """
+
+    sources: tuple[str, ...]
+    out: Path
+    annotated: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from droptrack.data.detections import Detections, xyxy_from_boxes
 from droptrack.tracking.recorder import Row
 
 Frame = NDArray[np.uint8]
 
 TRAIL_FRAMES = 40
 TEXT_PX = 15
+BOX_COLOUR = (60, 140, 255)  # BGR
+MAX_SMALL_PX = 700  # of an image whose boxes are drawn thinner
 
 
 def colour_of(track_id: int) -> tuple[int, int, int]:
@@ -45,6 +48,18 @@ class Annotator:
         for row in rows:
             _draw_box(image, row)
         return image
+
+
+def draw_boxes(frame: Frame, found: Detections) -> Frame:
+    """A copy of a frame (H, W, 3) with the boxes of its droplets, and their number."""
+    image = np.ascontiguousarray(frame).copy()
+    thickness = 1 if max(image.shape) < MAX_SMALL_PX else 2
+    for left, top, right, bottom in xyxy_from_boxes(found.boxes).round().astype(int).tolist():
+        cv2.rectangle(image, (left, top), (right, bottom), BOX_COLOUR, thickness)
+    label = _label(len(found))
+    height, width = min(label.shape[0], image.shape[0]), min(label.shape[1], image.shape[1])
+    image[:height, :width] = label[:height, :width]
+    return image
 
 
 def _draw_trail(

@@ -16,8 +16,9 @@ from droptrack.data.report import Value
 from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
+from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
-from droptrack.pipeline.run import Say, TrackingRun, to_stderr
+from droptrack.pipeline.run import TrackingRun
 from droptrack.tracking.appearance import describe_sizes
 from droptrack.tracking.choice import make_tracker
 from droptrack.tracking.session import TrackingSession

@@ -1,6 +1,6 @@
 """Plots of results."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
@@ -26,4 +26,15 @@ def plot_paths(
         axes.annotate(str(track_id), points[-1].tolist(), fontsize=7)
     axes.set(xlim=(0, width), ylim=(height, 0), xlabel="x / px", ylabel="y / px", aspect="equal")
     axes.set_title(f"{len(lines)} droplets")
+    figure.savefig(path)
+
+
+def plot_sizes(path: Path, diameters: Sequence[float]) -> None:
+    """A histogram of diameters, px."""
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    axes = figure.subplots()
+    axes.hist(diameters, bins="auto" if np.ptp(diameters) else 1, color="tab:blue")
+    mean, deviation = np.mean(diameters), np.std(diameters)
+    axes.set(xlabel="diameter / px", ylabel="droplets")
+    axes.set_title(f"{len(diameters)} droplets, {mean:.1f} ± {deviation:.1f} px")
     figure.savefig(path)

@@ -1,29 +1,22 @@
 """One run: a video in; trajectories, annotated video, plot and report out."""
 
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
-from droptrack.compiled import explained
 from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
-from droptrack.data.video import Video, VideoInfo, VideoWriter
-from droptrack.detection import decoding
-from droptrack.detection.detector import Detector
-from droptrack.detection.engine_choice import Network, choose_detector
-from droptrack.detection.scale import DIAMETER_PX, MAX_SIDE_PX, Canvas
+from droptrack.data.video import Video, VideoWriter
 from droptrack.errors import DroptrackError
-from droptrack.measurement import centre_of_mass
-from droptrack.network.bundled import find_network
-from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.loop import track_frames
+from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.progress import progress_bar
@@ -31,8 +24,6 @@ from droptrack.tracking.appearance import DescriptorExtractor
 from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
-
-Say = Callable[[str], object]
 
 
 @dataclass(frozen=True)
@@ -52,21 +43,13 @@ class TrackingRun:
         return read_trajectories(self.folder / "trajectories.csv")[0]
 
 
-def to_stderr(text: str) -> None:
-    """Tell a user something beside the results."""
-    print(text, file=sys.stderr)
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Opened:
     """What a run reads, and what it computes with."""
 
     source: Video
     live: bool
-    network: Cfg
-    weights: Path
-    scale: float
-    detector: Detector
+    network: OpenedDetector
     tracker: Tracker
     tracker_settings: dict[str, Value]
     describe: DescriptorExtractor
@@ -86,10 +69,10 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     opened = _open(config, say)
     folder = _make_folder(config)
     about = _about(config, opened)
-    info, network = opened.source.info, opened.network
+    info, network = opened.source.info, opened.network.cfg
     say(
         f"{config.video}: {network.path.stem}, {network.width} x {network.height} px, on "
-        f"{opened.detector.engine.name}"
+        f"{opened.network.detector.engine.name}"
     )
     began = time.perf_counter()
     results, problem = _track(config, opened, folder, about, progress=progress)
@@ -109,62 +92,18 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
     """Everything that can refuse to work, before anything is written."""
     tracker, tracker_settings = make_tracker(config.tracker)
     describe = choose_descriptor(config.tracker)
-    network, weights = find_network(config.weights, config.cfg, config.size)
     source = Video(config.video)
-    canvas = _choose_canvas(config, network, source.info)
-    network = resized(network, *canvas.network)
     live = source.live if config.live is None else config.live
-    with explained(say):
-        decoding.load_loops()
-        centre_of_mass.load_loops()
-    detector = choose_detector(
-        Network(
-            network,
-            weights,
-            threshold=config.score,
-            max_iou=config.max_iou,
-            dark=config.dark,
-            canvas=canvas,
-        ),
-        config.backend,
-        config.precision,
-        live=live,
-        say=say,
-    )
+    frames = source.info
+    network = open_detector(config, frames.width, frames.height, live=live, say=say)
     return _Opened(
         source=source,
         live=live,
         network=network,
-        weights=weights,
-        scale=canvas.scale,
-        detector=detector,
         tracker=tracker,
         tracker_settings=tracker_settings,
         describe=describe,
     )
-
-
-def _choose_canvas(config: TrackingConfig, network: Cfg, info: VideoInfo) -> Canvas:
-    """How large the network's input is, and what it shows. Raises DroptrackError."""
-    given = [name for name in ("size", "scale", "diameter_px") if getattr(config, name) is not None]
-    if len(given) > 1:
-        options = " and ".join(f"--{name.removesuffix('_px')}" for name in given)
-        raise DroptrackError(f"{options}: each says how large the input is; give one of them")
-    own = (network.width, network.height)
-    if config.size is not None:
-        return Canvas(own, (info.width, info.height), (info.width, info.height))
-    scale = config.scale
-    if config.diameter_px is not None:
-        scale = DIAMETER_PX / config.diameter_px
-    if scale is None:
-        return Canvas.like(info.width, info.height, own)
-    canvas = Canvas.of(info.width, info.height, scale)
-    if max(canvas.network) > MAX_SIDE_PX:
-        raise DroptrackError(
-            f"a scale of {scale:.3g} makes an input of {canvas.network[0]} x {canvas.network[1]} "
-            f"px; sides of up to {MAX_SIDE_PX} px are computed"
-        )
-    return canvas
 
 
 def _make_folder(config: TrackingConfig) -> Path:
@@ -183,8 +122,8 @@ def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     return {
         "made by": f"droptrack {__version__}, droptrack.track",
         "video": f"{config.video}, {info.width} x {info.height} px, {info.fps:g} frames/s",
-        "network": f"{opened.network.path}, {opened.weights}",
-        "weights sha256": sha256_of(opened.weights),
+        "network": f"{opened.network.cfg.path}, {opened.network.weights}",
+        "weights sha256": sha256_of(opened.network.weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
     }
 
@@ -192,9 +131,9 @@ def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
 def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     """How the results were made, for the report."""
     return {
-        "backend": opened.detector.engine.name,
-        "network_size": [opened.network.width, opened.network.height],
-        "scale": opened.scale,
+        "backend": opened.network.detector.engine.name,
+        "network_size": [opened.network.cfg.width, opened.network.cfg.height],
+        "scale": opened.network.scale,
         "live": opened.live,
         "score": config.score,
         "max_iou": config.max_iou,
@@ -222,7 +161,7 @@ def _track(
         results = Results(rows, video, times)
         done = track_frames(
             islice(opened.source.numbered(), config.max_frames or None),
-            opened.detector,
+            opened.network.detector,
             opened.tracker,
             opened.describe,
             results,

@@ -1,0 +1,72 @@
+"""Command: find the droplets of single images, ``python -m droptrack.detect``."""
+
+import functools
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from droptrack.command_line import new_app, one_line_errors
+from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.options import (
+    BackendOption,
+    CfgOption,
+    DarkOption,
+    DiameterOption,
+    MaxIouOption,
+    PrecisionOption,
+    ScaleOption,
+    ScoreOption,
+    SizeOption,
+    WeightsOption,
+)
+from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, ImagesConfig
+from droptrack.pipeline.detect_images import detect_images
+
+app = new_app()
+
+
+@app.command()
+@one_line_errors
+def main(
+    sources: Annotated[
+        list[str], typer.Argument(help="Images, folders of images, and videos; sizes may differ.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")],
+    weights: WeightsOption = None,
+    cfg: CfgOption = None,
+    size: SizeOption = None,
+    scale: ScaleOption = None,
+    diameter: DiameterOption = None,
+    backend: BackendOption = Backend.auto,
+    precision: PrecisionOption = Precision.auto,
+    score: ScoreOption = MIN_SCORE,
+    max_iou: MaxIouOption = MAX_IOU,
+    dark: DarkOption = False,
+    no_images: Annotated[
+        bool, typer.Option("--no-images", help="Write no annotated images.")
+    ] = False,
+) -> None:
+    """Find the droplets of images: detections.csv, annotated images, sizes.png, report.json."""
+    config = ImagesConfig(
+        sources=tuple(sources),
+        out=out,
+        weights=weights,
+        cfg=cfg,
+        size=size,
+        scale=scale,
+        diameter_px=diameter,
+        backend=backend,
+        precision=precision,
+        score=score,
+        max_iou=max_iou,
+        dark=dark,
+        annotated=not no_images,
+    )
+    done = detect_images(config, functools.partial(typer.echo, err=True))
+    done.report.print()
+    typer.echo(f"results in {done.folder}")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,223 @@
+"""Images in; a table of their droplets, annotated images, counts and sizes out. No tracking."""
+
+import csv
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TextIO
+
+import cv2
+import numpy as np
+
+from droptrack.data.arrays import Bools, Floats
+from droptrack.data.detections import Detections
+from droptrack.data.files import replacing
+from droptrack.data.frames import Frame, as_frame
+from droptrack.data.report import Report, Value
+from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
+from droptrack.errors import DroptrackError
+from droptrack.measurement.centre_of_mass import centres_of_mass
+from droptrack.network.quantisation import sha256_of
+from droptrack.pipeline.config import ImagesConfig
+from droptrack.pipeline.drawing import draw_boxes
+from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.open_detector import OpenedDetector, open_detector
+from droptrack.progress import progress_bar
+from droptrack.version import __version__
+
+COLUMNS = (
+    *("image", "frame", "x", "y", "w", "h", "score", "class_id", "at_edge"),
+    *("box_x", "box_y", "centre_of_mass"),
+)
+EDGE_PX = 1.0  # a box that ends nearer to the image's edge is cut by it
+
+
+@dataclass(frozen=True)
+class Image:
+    """One image: the file it comes from, its number there (from 0), and its pixels (H, W, 3)."""
+
+    source: Path
+    number: int
+    frame: Frame
+
+    @property
+    def stem(self) -> str:
+        """A name for files about it."""
+        is_video = self.source.suffix.lower() not in IMAGE_SUFFIXES
+        return f"{self.source.stem}_{self.number:06d}" if is_video else self.source.stem
+
+
+@dataclass(frozen=True)
+class ImagesRun:
+    """What a run left: its folder, which has ``detections.csv``, and its report."""
+
+    folder: Path
+    report: Report
+
+
+def detect_images(
+    config: ImagesConfig, say: Say = to_stderr, *, progress: bool = True
+) -> ImagesRun:
+    """Find the droplets of images, folders of images, and videos; images may differ in size.
+
+    Raises DroptrackError for a source that cannot be read.
+    """
+    began = time.perf_counter()
+    detectors: dict[tuple[int, int], OpenedDetector] = {}
+    images = read_images(config.sources)
+    first = next(images)  # what cannot be opened is refused before anything is written
+    config.out.mkdir(parents=True, exist_ok=True)
+    with (
+        replacing(config.out / "detections.csv") as partial,
+        partial.open("w", newline="", encoding="utf-8") as file,
+        progress_bar("images", shown=progress) as bar,
+    ):
+        results = _Results(config.out / "annotated" if config.annotated else None, file)
+        for image in bar.track(chain([first], images), description="detecting"):
+            size = (image.frame.shape[1], image.frame.shape[0])
+            if size not in detectors:
+                detectors[size] = open_detector(config, *size, live=False, say=say)
+            (found,) = detectors[size].detector.detect([image.frame])
+            results.add(image, found)
+    settings = _settings(config, detectors)
+    report = results.report(settings, seconds=time.perf_counter() - began)
+    report.write_json(config.out / "report.json")
+    if results.diameters:
+        from droptrack.pipeline.plots import plot_sizes
+
+        plot_sizes(config.out / "sizes.png", results.diameters)
+    else:
+        say("no whole droplets found; --scale, --diameter or --score may help")
+    return ImagesRun(config.out, report)
+
+
+class _Results:
+    """The table and the annotated images, filled image by image, and what is said of them."""
+
+    def __init__(self, annotated: Path | None, table: TextIO) -> None:
+        self.diameters: list[float] = []  # of droplets that no edge cuts, px
+        self._annotated, self._names = annotated, Counter[str]()
+        self._rows: list[dict[str, Value]] = []
+        self._writer = csv.writer(table, lineterminator="\n")
+        self._writer.writerow(COLUMNS)
+        if annotated is not None:
+            annotated.mkdir(exist_ok=True)
+
+    def add(self, image: Image, found: Detections) -> None:
+        """Take the droplets of the next image."""
+        cut = at_edge(found.boxes, (image.frame.shape[1], image.frame.shape[0]))
+        self._writer.writerows(_table(image, found, cut))
+        diameters = np.sqrt(found.boxes[~cut, 2:].prod(axis=1))
+        self.diameters += diameters.tolist()
+        self._rows.append(
+            {
+                "image": str(image.source),
+                "frame": image.number,
+                "n_droplets": len(found),
+                "n_at_edge": int(cut.sum()),
+                **_sizes(diameters),
+            }
+        )
+        if self._annotated is not None:
+            self._write_annotated(self._annotated, image, found)
+
+    def report(self, settings: dict[str, Value], seconds: float) -> Report:
+        """One row an image, and the sizes of all droplets."""
+        summary: dict[str, Value] = {
+            "n_images": len(self._rows),
+            "n_droplets": sum(int(str(row["n_droplets"])) for row in self._rows),
+            "n_at_edge": sum(int(str(row["n_at_edge"])) for row in self._rows),
+            **_sizes(np.array(self.diameters)),
+            "seconds": seconds,
+        }
+        return Report("Images", settings, summary, self._rows)
+
+    def _write_annotated(self, folder: Path, image: Image, found: Detections) -> None:
+        """Images of one name, as in several folders, are numbered."""
+        self._names[image.stem] += 1
+        n = self._names[image.stem]
+        path = folder / f"{image.stem}{f'-{n}' if n > 1 else ''}.jpg"
+        if not cv2.imwrite(str(path), draw_boxes(image.frame, found)):
+            raise DroptrackError(f"{path}: cannot be written; is the disk full?")
+
+
+def read_images(sources: tuple[str, ...]) -> Iterator[Image]:
+    """Every image of the sources. Raises DroptrackError for what cannot be read, or holds none."""
+    n = 0
+    for source in sources:
+        path = Path(source)
+        files = image_files(path) if path.is_dir() else [path]
+        if path.is_dir() and not files:
+            raise DroptrackError(f"{path}: has no images")
+        for file in files:
+            if file.suffix.lower() in IMAGE_SUFFIXES:
+                yield Image(file, 0, _read_image(file))
+                n += 1
+            else:
+                for number, frame in Video(str(file)).numbered():
+                    yield Image(file, number, frame)
+                    n += 1
+    if not n:
+        raise DroptrackError("name an image, a folder of images, or a video")
+
+
+def at_edge(boxes: Floats, size: tuple[int, int]) -> Bools:
+    """Whether boxes (N, 4) px end at the edge of an image of a size, so that droplets are cut.
+
+    >>> at_edge(np.array([[50.0, 50, 20, 20], [9.5, 50, 20, 20]]), (100, 100)).tolist()
+    [False, True]
+    """
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+    return np.asarray((low < EDGE_PX).any(axis=1) | (high > np.array(size) - EDGE_PX).any(axis=1))
+
+
+def _read_image(path: Path) -> Frame:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        reason = "cannot be decoded as an image" if path.exists() else "no such file"
+        raise DroptrackError(f"{path}: {reason}")
+    return as_frame(image)
+
+
+def _table(image: Image, found: Detections, cut: Bools) -> Iterator[list[object]]:
+    """One row a droplet, from the left to the right."""
+    centres, measured = centres_of_mass(image.frame, found.boxes)
+    for i in np.argsort(found.boxes[:, 0], kind="stable").tolist():
+        box_x, box_y, w, h = (f"{value:.6f}" for value in found.boxes[i].tolist())
+        x, y = (f"{value:.6f}" for value in centres[i].tolist())
+        score, class_id = f"{found.scores[i]:.6f}", int(found.class_ids[i])
+        row = [image.source, image.number, x, y, w, h, score, class_id, int(cut[i])]
+        yield [*row, box_x, box_y, int(measured[i])]
+
+
+def _sizes(diameters: Floats) -> dict[str, Value]:
+    """What is said of diameters sqrt(w h) (N,) px; NaN without any."""
+    some = diameters if len(diameters) else np.array([np.nan])
+    mean, deviation = float(some.mean()), float(some.std())
+    return {
+        "mean_diameter_px": mean,
+        "std_diameter_px": deviation,
+        "coefficient_of_variation": deviation / mean,
+    }
+
+
+def _settings(
+    config: ImagesConfig, detectors: dict[tuple[int, int], OpenedDetector]
+) -> dict[str, Value]:
+    """How the results were made; of images of several sizes, what holds for the first."""
+    opened = next(iter(detectors.values()))
+    return {
+        "made by": f"droptrack {__version__}, droptrack.detect",
+        "network": f"{opened.cfg.path}, {opened.weights}",
+        "weights sha256": sha256_of(opened.weights),
+        "backend": opened.detector.engine.name,
+        "network_size": [opened.cfg.width, opened.cfg.height],
+        "scale": opened.scale,
+        "score": config.score,
+        "max_iou": config.max_iou,
+        "dark": config.dark,
+        "diameters": "sqrt(w h) of the boxes of droplets that no edge cuts",
+    }

@@ -1,0 +1,101 @@
+"""Droplets of single images: a row each, cut ones marked, images of any size, counts and sizes."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from data_gen.scenes.shapes import draw_ellipses
+from droptrack.__main__ import app
+
+
+def image_of(path: Path, discs: list[tuple[float, float, float]], size: tuple[int, int]) -> None:
+    """White discs (x, y, radius) on black."""
+    canvas = np.zeros(size[::-1], np.uint8)
+    if discs:
+        draw_ellipses(canvas, np.array([[x, y, r, r, 0] for x, y, r in discs]), 255)
+    cv2.imwrite(str(path), canvas)
+
+
+def detect(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["detect", *arguments])
+    return result.exit_code, result.output
+
+
+def rows_of(folder: Path) -> list[dict[str, str]]:
+    with (folder / "detections.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_images_of_two_sizes_have_their_droplets(tmp_path: Path) -> None:
+    """Three discs by hand, one of them cut by the edge; places to 0.05 px, diameters to 6 %."""
+    one, two = tmp_path / "one.png", tmp_path / "two.png"
+    image_of(one, [(100.25, 120, 30), (300, 200.5, 40)], (500, 400))
+    image_of(two, [(2, 150, 35), (200, 80, 25)], (320, 320))
+    out = tmp_path / "out"
+    code, said = detect(str(one), str(two), "--out", str(out), "--precision", "fp32")
+    assert code == 0, said
+    rows = rows_of(out)
+    assert [Path(row["image"]).name for row in rows] == ["one.png"] * 2 + ["two.png"] * 2
+    assert [row["at_edge"] for row in rows] == ["0", "0", "1", "0"]
+    whole = [row for row in rows if row["at_edge"] == "0"]
+    for row, (x, y, r) in zip(
+        whole, [(100.25, 120, 30), (300, 200.5, 40), (200, 80, 25)], strict=True
+    ):
+        assert row["centre_of_mass"] == "1"
+        assert (float(row["x"]), float(row["y"])) == pytest.approx((x, y), abs=0.05)
+        assert (float(row["w"]), float(row["h"])) == pytest.approx((2 * r, 2 * r), rel=0.06)
+    report = json.loads((out / "report.json").read_text())
+    assert [row["n_droplets"] for row in report["droplets"]] == [2, 2]
+    summary = report["summary"]
+    assert (summary["n_images"], summary["n_droplets"], summary["n_at_edge"]) == (2, 4, 1)
+    assert summary["mean_diameter_px"] == pytest.approx(2 * (30 + 40 + 25) / 3, rel=0.06)
+    assert cv2.imread(str(out / "sizes.png")) is not None
+    for name, size in (("one", (400, 500)), ("two", (320, 320))):
+        drawn = cv2.imread(str(out / "annotated" / f"{name}.jpg"))
+        assert drawn is not None
+        assert drawn.shape[:2] == size
+
+
+def test_a_folder_and_a_video_are_many_images(sine: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    for name, n in (("b_2.png", 1), ("b_10.png", 0)):
+        image_of(folder / name, [(100, 120, 30)] * n, (300, 240))
+    out = tmp_path / "out"
+    code, said = detect(str(folder), str(sine / "video.avi"), "--out", str(out), "--no-images")
+    assert code == 0, said
+    rows = rows_of(out)
+    assert Path(rows[0]["image"]).name == "b_2.png"
+    assert len(rows) == 1 + 12 * 40
+    assert {row["frame"] for row in rows[1:]} == {str(n) for n in range(40)}
+    assert not (out / "annotated").exists()
+
+
+def test_images_of_one_name_are_all_annotated(tmp_path: Path) -> None:
+    for name in ("x", "y"):
+        (tmp_path / name).mkdir()
+        image_of(tmp_path / name / "same.png", [(100, 120, 30)], (300, 240))
+    code, said = detect(str(tmp_path / "x"), str(tmp_path / "y"), "--out", str(tmp_path / "out"))
+    assert code == 0, said
+    names = sorted(path.name for path in (tmp_path / "out" / "annotated").iterdir())
+    assert names == ["same-2.jpg", "same.jpg"]
+
+
+def test_without_droplets_or_images_it_is_said(tmp_path: Path) -> None:
+    image_of(tmp_path / "black.png", [], (200, 150))
+    out = tmp_path / "out"
+    code, said = detect(str(tmp_path / "black.png"), "--out", str(out))
+    assert code == 0
+    assert "no whole droplets found" in said
+    assert rows_of(out) == []
+    (tmp_path / "text.png").write_text("no image")
+    for source, problem in (("missing.png", "no such file"), ("text.png", "cannot be decoded")):
+        code, said = detect(str(tmp_path / source), "--out", str(tmp_path / "other"))
+        assert code == 1
+        assert problem in said
+        assert not (tmp_path / "other").exists()

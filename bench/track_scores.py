@@ -40,6 +40,15 @@ def track(tracker: Tracker, frames: Sequence[Detections]) -> Trajectories:
     return concatenated([*parts, session.finish()]).rows
 
 
+def only_images(rows: Trajectories, frames: Sequence[Detections]) -> Trajectories:
+    """Those rows that are in frames with an image: what has no box at all has none.
+
+    Where droplets are in the frames without an image can be known, but it cannot be seen.
+    """
+    there = np.array([len(found) > 0 for found in frames], bool)
+    return rows[there[rows.frame]]
+
+
 def score(truth: Trajectories, result: Trajectories) -> Score:
     """Compare with ground truth; two are the same within half a diameter of the true droplet.
 

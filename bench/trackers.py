@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from bench.track_scores import Score, score, track
+from bench.track_scores import Score, only_images, score, track
 from data_gen.videos.motions import MOTIONS, Kind, Motion, make
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.detections import Detections
@@ -44,7 +44,10 @@ HARD = ("uniform 1.5", "shear 2", "filled", "missing 30%", "false 20%", "jitter 
 def judge(tracker: Tracker, motion: Motion) -> Score:
     """One tracker on one motion."""
     truth, frames = make(motion, 0)
-    return score(truth, track(tracker, frames))
+    result = track(tracker, frames)
+    if motion.images_missing:
+        truth, result = only_images(truth, frames), only_images(result, frames)
+    return score(truth, result)
 
 
 @app.command()

@@ -39,6 +39,10 @@ class Motion:
     missing: float = 0.0  # share of droplets without a box, each frame
     false: float = 0.0  # share of boxes without a droplet
     jitter: float = 0.0  # standard deviation of a box's place and size, in diameters
+    aspect: float = 1.0  # a box's width, in heights; both together have the diameter's square
+    spacing: tuple[float, float] = (1.0, 1.0)  # of a train, in lengths: minimum and maximum
+    lanes: int = 1  # channels side by side, in which trains go at different speeds
+    images_missing: float = 0.0  # share of frames of which there is no image, and no box
 
 
 class Kind(StrEnum):
@@ -56,8 +60,50 @@ class Kind(StrEnum):
     growing = "growing"  # a channel in which half of them double their size, half halve it
     packing = "packing"  # a dense hexagonal patch that moves by half a spacing per frame
     filled = "filled"
+    train = "train"  # equal plugs one after the other in a channel, through the whole image
 
 
+def train(*, spacing: float, step: float, images_missing: float = 0.0) -> Motion:
+    """Some twenty equal plugs that pass, with a detector's usual faults.
+
+    `spacing` in lengths of a plug, `step` a frame in spacings.
+    """
+    length = float(np.sqrt(PLUG_ASPECT))  # diameters
+    return Motion(
+        Kind.train,
+        speed=step * spacing * length,
+        diameter=PLUG_DIAMETER,
+        frames=round((TRAIN_PLUGS + WIDTH / (spacing * length * PLUG_DIAMETER)) / step),
+        missing=0.05,
+        false=0.02,
+        jitter=0.01,
+        aspect=PLUG_ASPECT,
+        spacing=(spacing, spacing),
+        images_missing=images_missing,
+    )
+
+
+PLUG_ASPECT, PLUG_DIAMETER = 2.0, 85.0
+TRAIN_PLUGS = 18
+LANE_SPEEDS = 0.2  # by which the speed of the last lane is lower, of the first one's
+SHORT_VIEW = Motion(
+    Kind.train,
+    speed=1.0,
+    diameter=260.0,
+    frames=80,
+    jitter=0.01,
+    aspect=2.0,
+    spacing=(2.0, 3.0),
+    lanes=2,
+)
+TRAINS = {
+    f"train {spacing:g} {step:g}{' holes' if missing else ''}": train(
+        spacing=spacing, step=step, images_missing=missing
+    )
+    for missing in (0.0, 0.3)
+    for spacing in (1.1, 2.0, 4.0)
+    for step in (0.05, 0.2, 0.45)
+}
 MOTIONS = {
     "sine": Motion(Kind.sine, droplets=12, frames=150),
     "crossing": Motion(Kind.crossing, droplets=80),
@@ -72,6 +118,10 @@ MOTIONS = {
     "thousand": Motion(Kind.vortices, droplets=1080, diameter=14, frames=60),
     "growing": Motion(Kind.growing, speed=0.5),
     "entering and leaving": Motion(Kind.channel, speed=0.8),
+    **TRAINS,
+    "short views": SHORT_VIEW,
+    "short views holes": replace(SHORT_VIEW, images_missing=1 / 3),
+    "short views faults": replace(SHORT_VIEW, missing=0.05, false=0.02),
 }
 
 
@@ -136,7 +186,9 @@ def move(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats]:
             rng, motion.droplets, size, motion.frames, (16.0, 30.0), (5.0, 5.0, 5.0)
         )
         return paths, np.repeat(2 * radii[:, None], motion.frames, axis=1)
-    if motion.kind in (Kind.packing, Kind.filled):
+    if motion.kind == Kind.train:
+        paths = train_paths(rng, motion)
+    elif motion.kind in (Kind.packing, Kind.filled):
         paths = packing_paths(rng, motion)
     elif motion.kind == Kind.crossing:
         paths = crossing_paths(rng, motion)
@@ -156,6 +208,23 @@ def packing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
     )
     places = places + rng.normal(0, DISORDER * spacing, places.shape)
     return np.asarray(places[:, None] + np.arange(motion.frames)[:, None] * [step, 0.0])
+
+
+def train_paths(rng: np.random.Generator, motion: Motion) -> Floats:
+    """Plugs one after the other, in lanes one below the other; those in the image come first."""
+    length = motion.diameter * np.sqrt(motion.aspect)
+    t = np.arange(motion.frames)
+    paths = []
+    for lane in range(motion.lanes):
+        slower = LANE_SPEEDS * lane / max(motion.lanes - 1, 1)
+        speed = motion.speed * motion.diameter * (1 - slower)
+        n = int((WIDTH + speed * motion.frames) / (motion.spacing[0] * length)) + 1
+        apart = rng.uniform(*motion.spacing, n) * length
+        x = WIDTH - rng.uniform(0, apart[0]) - np.append(0, np.cumsum(apart[1:]))
+        x = x[:, None] + speed * t
+        y = np.full_like(x, (lane + 0.5) * HEIGHT / motion.lanes)
+        paths.append(np.stack([x, y], axis=2))
+    return np.concatenate(paths)
 
 
 def crossing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
@@ -182,7 +251,9 @@ def carried_paths(rng: np.random.Generator, motion: Motion) -> Floats:
 
 
 def sizes(rng: np.random.Generator, motion: Motion, n: int) -> Floats:
-    """Diameters (n, T): all a little different; `growing` ones double or halve."""
+    """Diameters (n, T): all a little different; `growing` ones double or halve; a train's equal."""
+    if motion.kind == Kind.train:
+        return np.full((n, motion.frames), motion.diameter)
     diameters = motion.diameter * rng.uniform(0.9, 1.1, n)[:, None]
     if motion.kind != Kind.growing:
         return np.repeat(diameters, motion.frames, axis=1)
@@ -190,13 +261,14 @@ def sizes(rng: np.random.Generator, motion: Motion, n: int) -> Floats:
     return np.asarray(0.8 * diameters * 2.0**growth)
 
 
-def ground_truth_of(paths: Floats, diameters: Floats) -> Trajectories:
-    """Those droplets that are wholly in the image."""
-    margin = diameters[..., None] / 2
+def ground_truth_of(paths: Floats, diameters: Floats, aspect: float = 1.0) -> Trajectories:
+    """Those droplets that are wholly in the image; `aspect`: their width, in heights."""
+    shape = np.array([np.sqrt(aspect), 1 / np.sqrt(aspect)])
+    margin = diameters[..., None] * shape / 2
     whole = ((paths >= margin) & (paths <= [WIDTH, HEIGHT] - margin)).all(axis=2)
     droplet, frame = np.nonzero(whole)
     size = diameters[whole]
-    boxes = np.column_stack([paths[whole], size, size])
+    boxes = np.column_stack([paths[whole], size[:, None] * shape])
     return sorted_trajectories(
         frame=frame.astype(np.int64),
         track_id=droplet.astype(np.int64) + 1,
@@ -211,11 +283,18 @@ def ground_truth_of(paths: Floats, diameters: Floats) -> Trajectories:
 def detect(rng: np.random.Generator, truth: Trajectories, motion: Motion) -> list[Detections]:
     """What a detector would find, frame by frame: some missed, some false, all a little off."""
     found = []
+    shape = np.array([np.sqrt(motion.aspect), 1 / np.sqrt(motion.aspect)])
+    there = np.ones(motion.frames, bool)
+    if motion.images_missing:
+        there = rng.random(motion.frames) >= motion.images_missing
     for frame in range(motion.frames):
+        if not there[frame]:
+            found.append(Detections(np.zeros((0, 4)), np.zeros(0), np.zeros(0, np.int64)))
+            continue
         boxes = truth.boxes[truth.frame == frame]
         n_false = rng.poisson(motion.false * len(boxes))
         boxes = boxes[rng.random(len(boxes)) >= motion.missing]
-        size = np.repeat(motion.diameter * rng.uniform(0.8, 1.2, (n_false, 1)), 2, axis=1)
+        size = motion.diameter * rng.uniform(0.8, 1.2, (n_false, 1)) * shape
         false = np.hstack([rng.uniform(0, 1, (n_false, 2)) * [WIDTH, HEIGHT], size])
         noise = rng.normal(0, 1, boxes.shape) * motion.jitter * boxes[:, 2:3]
         noise[:, 2:] = np.maximum(noise[:, 2:], -0.5 * boxes[:, 2:])
@@ -227,7 +306,7 @@ def detect(rng: np.random.Generator, truth: Trajectories, motion: Motion) -> lis
 def make(motion: Motion, seed: int) -> tuple[Trajectories, list[Detections]]:
     """The ground truth of a motion and what a detector finds of it in each frame."""
     rng = np.random.default_rng(seed)
-    truth = ground_truth_of(*move(rng, motion))
+    truth = ground_truth_of(*move(rng, motion), motion.aspect)
     return truth, detect(rng, truth, motion)
 
 

@@ -33,12 +33,14 @@ class TrackerConfig:
     without, the chosen tracker's own. `max_cosine_distance`, `nn_budget` and `max_iou_distance` are
     DeepSORT's (`DeepSortParameters`). `appearance`: a network that tells droplets apart, an .onnx
     file or a Darknet .cfg with its `appearance_weights`; `appearance_size`: width and height of its
-    input, px.
+    input, px. `expect_velocity`: px a frame, of droplets that enter where none is known, for the
+    droplet tracker.
     """
 
     name: TrackerName = TrackerName.droplet
     max_age: int | None = None
     n_init: int | None = None
+    expect_velocity: tuple[float, float] | None = None
     max_cosine_distance: float = DeepSortParameters.max_cosine_distance
     nn_budget: int = DeepSortParameters.nn_budget
     max_iou_distance: float = DeepSortParameters.max_iou_distance
@@ -69,8 +71,12 @@ def make_tracker(
         appearance=APPEARANCE_COST if compares else 0.0,
         max_age=config.max_age or DropletParameters.max_age,
         n_init=config.n_init or DropletParameters.n_init,
+        expect_velocity=config.expect_velocity,
     )
     settings = {REPORTED_AS.get(name, name): value for name, value in asdict(own).items()}
+    expected = settings.pop("expect_velocity")
+    if expected is not None:
+        settings["expect_velocity_px"] = "{:g}, {:g}".format(*expected)
     return DropletTracker(own), settings
 
 

@@ -174,7 +174,7 @@ def test_an_update_writes_into_no_array_that_there_was_before() -> None:
         for array in (*arrays, found.boxes):
             array.flags.writeable = False
         tracker.update(found.boxes, describe_sizes(found.boxes))
-    assert len(arrays) == 14 + 3
+    assert len(arrays) == 16 + 3
 
 
 def test_nothing_at_all_and_nothing_for_a_while() -> None:

@@ -2,31 +2,44 @@
 
 import numpy as np
 
-from droptrack.data.arrays import Bools
+from droptrack.data.arrays import Bools, Floats
 from droptrack.tracking.droplet.duplicates import MAX_DUPLICATE_FRAMES
-from droptrack.tracking.droplet.noise import FalseBoxes, median
+from droptrack.tracking.droplet.flow import Flow
+from droptrack.tracking.droplet.noise import FalseBoxes, Noise, median
 from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.tracks import Tracks
 
 MIN_EVIDENCE = 25.0  # 2 log likelihood ratio of a droplet
 MIN_DETECTION_RATE = 0.6  # detections a frame of a new track
 MAX_MISSES_OF_NEW = 1  # in a row
 MAX_FRAMES_OF_NEW = MAX_DUPLICATE_FRAMES + 1
+MIN_SUPPORTED_HITS = 2  # detections of a track that is confirmed by what is remembered, too
+MIN_EVIDENCE_OF_LEAVING = 14.0  # of a droplet that leaves too early for more: odds of 1,000 to 1
 MIN_AREA = 1.0  # squared diameters over which false boxes are counted
 
 
-def confirmable(tracks: Tracks, p: DropletParameters) -> Bools:
-    """New tracks (N,) that have been seen often enough, in this frame too."""
-    often = (tracks.hits >= p.n_init) & (tracks.hits >= MIN_DETECTION_RATE * tracks.frames)
+def confirmable(tracks: Tracks, support: Floats, p: DropletParameters) -> Bools:
+    """New tracks (N,) that have been seen often enough, in this frame too.
+
+    `support` (N,): of tracks for which `support_of` tells something, else 0.
+    """
+    if tracks.confirmed.all():
+        return np.zeros(len(tracks), bool)
+    often = (tracks.hits >= p.n_init) & (tracks.hits >= MIN_DETECTION_RATE * tracks.images)
     often &= tracks.evidence >= MIN_EVIDENCE
+    supported = (support > 0) & (tracks.hits >= MIN_SUPPORTED_HITS)
+    often |= supported & (tracks.evidence + support >= MIN_EVIDENCE)
     return np.asarray(~tracks.confirmed & (tracks.missed == 0) & often)
 
 
-def confirm(tracks: Tracks, p: DropletParameters) -> tuple[Tracks, tuple[int, ...]]:
+def confirm(
+    tracks: Tracks, support: Floats, p: DropletParameters
+) -> tuple[Tracks, tuple[int, ...]]:
     """Confirm new tracks; duplicates of a living one wait. Also gives the identities of the new."""
     if tracks.confirmed.all():
         return tracks, ()
-    rows = np.flatnonzero(confirmable(tracks, p))
+    rows = np.flatnonzero(confirmable(tracks, support, p))
     if not len(rows):
         return tracks, ()
     alone = ~np.isin(tracks.duplicate_of[rows], tracks.ids)
@@ -36,26 +49,87 @@ def confirm(tracks: Tracks, p: DropletParameters) -> tuple[Tracks, tuple[int, ..
     return tracks.replaced(confirmed=confirmed), tuple(tracks.ids[rows].tolist())
 
 
+def support_of(
+    tracks: Tracks, flow: Flow, passages: Passages, noise: Noise, false: FalseBoxes
+) -> Floats:
+    """Evidence (N,) that new tracks have besides their detections: 0 of confirmed ones.
+
+    They were born where droplets pass, and are as large as droplets are. Where droplets are many
+    nothing is remembered, and there is none.
+    """
+    support = np.zeros(len(tracks))
+    if not flow.images or tracks.confirmed.all():
+        return support
+    rows = np.flatnonzero(~tracks.confirmed & (tracks.duplicate_of == 0))
+    if not len(rows):
+        return support
+    density = flow.density_at(tracks.first_position[rows], tracks.diameters[rows])
+    size = passages.evidence_of_size(tracks.log_sizes[rows], noise.size)
+    support[rows] = 2 * np.log(density / false.density) + size
+    return support
+
+
+def unconfirmed(tracks: Tracks) -> Bools:
+    """New tracks (N,) that nothing confirms any more.
+
+    It is their second miss in a row, or they have waited for too long.
+    """
+    over = (tracks.unseen > MAX_MISSES_OF_NEW) | (tracks.frames > MAX_FRAMES_OF_NEW)
+    return np.asarray(~tracks.confirmed & over)
+
+
+def leaving(tracks: Tracks, support: Floats, flow: Flow) -> Bools:
+    """New tracks (N,) that end because they have left, too early for `n_init` detections.
+
+    They go where the flow takes them, out of the region where droplets are seen.
+    """
+    over = unconfirmed(tracks)
+    if not over.any():
+        return over
+    sure = tracks.evidence + support >= MIN_EVIDENCE_OF_LEAVING
+    return np.asarray(over & sure & (tracks.duplicate_of == 0) & flow.left_by(tracks))
+
+
+def confirm_leaving(tracks: Tracks, support: Floats, flow: Flow) -> tuple[Tracks, tuple[int, ...]]:
+    """Confirm tracks that have left. Also gives their identities."""
+    rows = np.flatnonzero(leaving(tracks, support, flow))
+    if not len(rows):
+        return tracks, ()
+    confirmed = tracks.confirmed.copy()
+    confirmed[rows] = True
+    return tracks.replaced(confirmed=confirmed), tuple(tracks.ids[rows].tolist())
+
+
 def terminate(
-    tracks: Tracks, false: FalseBoxes, p: DropletParameters
+    tracks: Tracks,
+    left: tuple[int, ...],
+    support: Floats,
+    flow: Flow,
+    false: FalseBoxes,
+    p: DropletParameters,
 ) -> tuple[Tracks, FalseBoxes, tuple[int, ...]]:
     """The tracks that live on, the density of false boxes, and the identities of those that do not.
 
     A new track is terminated by its second miss in a row, and if nothing confirms it for long: then
-    its boxes were false. A confirmed one is terminated by more than `max_age` misses.
+    its boxes were false. A confirmed one is terminated by more than `max_age` misses, and if it is
+    among those that `left`.
     """
-    new = ~tracks.confirmed
-    unconfirmed = (tracks.missed > MAX_MISSES_OF_NEW) | (tracks.frames > MAX_FRAMES_OF_NEW)
-    unconfirmed &= new
-    lost = unconfirmed | (tracks.confirmed & (tracks.missed > p.max_age))
+    new, over = ~tracks.confirmed, unconfirmed(tracks)
+    lost = over | (tracks.confirmed & (tracks.missed > p.max_age))
+    if left:
+        lost |= np.isin(tracks.ids, left)
     if p.learn_noise and not new.all():
-        false = false.learned(_false_density(tracks, int(unconfirmed.sum())))
+        n_false = float(over.sum())
+        if over.any() and flow.images:  # what has left, and what is like droplets, may be one
+            gone = over & ~flow.left_by(tracks)
+            n_false = float((1 / (1 + np.exp(support[gone] / 2))).sum())
+        false = false.learned(_false_density(tracks, n_false))
     if not lost.any():
         return tracks, false, ()
     return tracks[np.flatnonzero(~lost)], false, tuple(tracks.ids[lost].tolist())
 
 
-def _false_density(tracks: Tracks, n_false: int) -> float:
+def _false_density(tracks: Tracks, n_false: float) -> float:
     """Of `n_false` boxes, a squared diameter of the area where there are droplets."""
     if not n_false:
         return 0.0

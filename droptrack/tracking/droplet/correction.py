@@ -33,7 +33,7 @@ def correct(
         noise = _learn(noise, tracks, rows, innovation, change)
     predicted = tracks.state[rows.rows]
     state = _correct_state(predicted, positions, squares(innovation), diameters, noise)
-    hits = rows.of(tracks.hits) + 1
+    hits, nothing = rows.of(tracks.hits) + 1, np.zeros(len(matches.rows), np.int64)
     share = 1 / hits
     size_gain, area_gain = np.maximum(SIZE_GAIN, share)[:, None], np.maximum(AREA_GAIN, share)
     log_sizes = rows.of(tracks.log_sizes) + size_gain * change
@@ -46,7 +46,8 @@ def correct(
         descriptors = rows.replaced(descriptors, mean)
     corrected = tracks.replaced(
         hits=rows.replaced(tracks.hits, hits),
-        missed=rows.replaced(tracks.missed, np.zeros(len(hits), np.int64)),
+        missed=rows.replaced(tracks.missed, nothing),
+        unseen=rows.replaced(tracks.unseen, nothing),
         evidence=rows.replaced(tracks.evidence, rows.of(tracks.evidence) + matches.evidence),
         log_sizes=rows.replaced(tracks.log_sizes, log_sizes),
         log_area=rows.replaced(tracks.log_area, log_area),

@@ -66,9 +66,18 @@ class _LikelihoodTerms(NamedTuple):
 
 
 def match(
-    tracks: Tracks, found: Observations, noise: Noise, false: FalseBoxes, p: DropletParameters
+    tracks: Tracks,
+    found: Observations,
+    noise: Noise,
+    false: FalseBoxes,
+    others: float,
+    p: DropletParameters,
 ) -> Matches:
-    """Assign a frame's detections to predicted tracks; the denser false boxes, the fewer match."""
+    """Assign a frame's detections to predicted tracks; the denser false boxes, the fewer match.
+
+    `others`: 2 log likelihood ratio of a detection of another droplet to a false box, where
+    droplets are so few that another one may well be where a lost one could be; else 0.
+    """
     if not len(tracks) or not len(found):
         none = np.zeros(0, np.int64)
         return Matches(none, none, np.zeros(0), np.arange(len(found)))
@@ -76,6 +85,8 @@ def match(
     terms = _likelihood_terms(tracks, noise, with_sizes=p.size)
     pairs = _near_pairs(tracks, found, terms, max_cost, p)
     cost = _costs(tracks, found, pairs, terms, p)
+    if others:
+        cost[tracks.missed[pairs.rows] > 1] += others
     good = cost < max_cost
     rows, columns, cost = assign_in_order(
         pairs.rows[good], pairs.columns[good], cost[good], max_cost, jointly=p.jointly
@@ -142,7 +153,7 @@ def _costs(
         change = squares(select(found.log_sizes, columns) - select(tracks.log_sizes, rows))
         both += change / terms.size_variance + terms.size_term
     cost: Floats = np.minimum(*both)
-    cost += np.minimum(tracks.missed[rows] - 1, MAX_COSTLY_FRAMES) * FRAME_COST
+    cost += np.minimum(tracks.unseen[rows] - 1, MAX_COSTLY_FRAMES) * FRAME_COST
     if p.appearance:
         products = select(tracks.descriptors, rows) * select(found.descriptors, columns)
         cost += p.appearance * (1 - products.sum(axis=1))

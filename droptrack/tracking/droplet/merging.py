@@ -3,12 +3,12 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from droptrack.data.arrays import Rows
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.tracking.association import assign_sparse
-from droptrack.tracking.droplet.confirmation import confirmable
-from droptrack.tracking.droplet.matching import ANY_SIZE, CANDIDATES, MISS_COST
+from droptrack.tracking.droplet.matching import CANDIDATES
 from droptrack.tracking.droplet.noise import Noise
 from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import MIN_DEVIATION
 from droptrack.tracking.droplet.tracks import Tracks
 from droptrack.tracking.nearest import nearest
@@ -17,24 +17,29 @@ GATE = 11.8  # chi-square of two degrees of freedom, 99.7 %
 Pair = tuple[int, int]  # of a new track and a lost one: rows, or identities
 
 
-def merge(tracks: Tracks, noise: Noise, p: DropletParameters) -> tuple[Tracks, tuple[Pair, ...]]:
+def merge(
+    tracks: Tracks, ready: Bools, noise: Noise, passages: Passages, p: DropletParameters
+) -> tuple[Tracks, Passages, tuple[Pair, ...]]:
     """Give new tracks the identities of the lost ones that they continue.
 
-    Also gives the identities of each pair as they were, the new one's and the lost one's.
+    `ready` (N,): new tracks that are to be confirmed. Also gives the identities of each pair as
+    they were, the new one's and the lost one's.
     """
     lost = tracks.confirmed & (tracks.missed > 0)
     if not p.both_ways or not lost.any():
-        return tracks, ()
+        return tracks, passages, ()
     duplicates = ~tracks.confirmed & (tracks.missed == 0) & (tracks.duplicate_of > 0)
-    ready = confirmable(tracks, p) & (tracks.duplicate_of == 0)
+    ready = ready & (tracks.duplicate_of == 0)
     pairs: list[Pair] = []
     if duplicates.any():
         pairs = _duplicates_left(tracks, np.flatnonzero(duplicates), np.flatnonzero(lost))
         lost[[old for _, old in pairs]] = False
-    pairs += _meeting(tracks, np.flatnonzero(ready), np.flatnonzero(lost), noise, p)
+    pairs += _meeting(tracks, np.flatnonzero(ready), np.flatnonzero(lost), noise, passages, p)
     if not pairs:
-        return tracks, ()
+        return tracks, passages, ()
     new, old = np.array(pairs).T
+    gaps = tracks.unseen[old] - tracks.images[new] + 1
+    passages = passages.resuming(tracks.last_position[old], np.maximum(gaps, 1))
     merged = tuple(zip(tracks.ids[new].tolist(), tracks.ids[old].tolist(), strict=True))
     ids, confirmed = tracks.ids.copy(), tracks.confirmed.copy()
     hits, duplicate_of = tracks.hits.copy(), tracks.duplicate_of.copy()
@@ -43,7 +48,7 @@ def merge(tracks: Tracks, noise: Noise, p: DropletParameters) -> tuple[Tracks, t
     hits[new] += hits[old]
     duplicate_of[new] = 0
     tracks = tracks.replaced(ids=ids, confirmed=confirmed, hits=hits, duplicate_of=duplicate_of)
-    return tracks[np.delete(np.arange(len(tracks)), old)], merged
+    return tracks[np.delete(np.arange(len(tracks)), old)], passages, merged
 
 
 def _duplicates_left(tracks: Tracks, duplicates: Rows, lost: Rows) -> list[Pair]:
@@ -58,12 +63,13 @@ def _duplicates_left(tracks: Tracks, duplicates: Rows, lost: Rows) -> list[Pair]
 
 
 def _meeting(
-    tracks: Tracks, ready: Rows, lost: Rows, noise: Noise, p: DropletParameters
+    tracks: Tracks, ready: Rows, lost: Rows, noise: Noise, passages: Passages, p: DropletParameters
 ) -> list[Pair]:
     """Pairs of new and lost tracks that meet, seen from both ends of the gap.
 
     With constant acceleration, a droplet goes its gap at the mean of the velocities at both
     ends; white acceleration leaves a variance of gap³ / 12, a fourth of that seen from one.
+    A pair is weighed against the alternative that one droplet has left and another has entered.
     """
     if not len(ready) or not len(lost):
         return []
@@ -76,14 +82,32 @@ def _meeting(
     velocity = (state.velocity[new] + state.velocity[old]) / 2
     off = tracks.first_position[new] - tracks.last_position[old] - gap[:, None] * velocity
     d = tracks.diameters[old]
-    ends = (state.covariance[new, 2] + state.covariance[old, 2]) / d**2
+    # the old one's velocity as it was when it was lost: what came after counts by itself
+    since = noise.acceleration**2 * tracks.missed[old]
+    old_end = np.maximum(state.covariance[old, 2] / d**2 - since, 0)
+    ends = state.covariance[new, 2] / d**2 + old_end
     variance = noise.acceleration**2 * gap**3 / 12 + ends * gap**2 / 4 + 2 * noise.centre**2
     variance = np.maximum(variance, MIN_DEVIATION**2)
     square = (off**2).sum(axis=1) / d**2 / variance
     cost = square + 2 * np.log(2 * np.pi * variance)
     if p.size:
-        change = (tracks.log_sizes[new] - tracks.log_sizes[old]) / noise.size
-        cost += (change**2).sum(axis=1) + 4 * np.log(noise.size / ANY_SIZE)
-    good = (square < GATE) & (cost < MISS_COST)
-    rows, columns = assign_sparse(new[good], old[good], cost[good], MISS_COST)
+        cost += _cost_of_sizes(tracks, new, old, noise, passages)
+    unseen = tracks.unseen[old] - tracks.images[new] + 1
+    ahead = tracks.last_position[old] + gap[:, None] * state.velocity[old]
+    cost += 2 * passages.log_odds_of_leaving(tracks.last_position[old], ahead, d)
+    cost += 2 * passages.log_density_of_entering(tracks.first_position[new], d)
+    cost -= 2 * passages.log_probability_of_gap(unseen)
+    good = (square < GATE) & (cost < 0)
+    rows, columns = assign_sparse(new[good], old[good], cost[good], 0.0)
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
+
+
+def _cost_of_sizes(
+    tracks: Tracks, new: Rows, old: Rows, noise: Noise, passages: Passages
+) -> Floats:
+    """-2 log likelihood ratio (P,) of pairs' sizes: of one droplet, to any two of the video."""
+    own = noise.size**2
+    any_two = own + 2 * passages.size_variance
+    change = (tracks.log_sizes[new] - tracks.log_sizes[old]) ** 2
+    ratio = change * (1 / own - 1 / any_two) + np.log(own / any_two)
+    return np.asarray(ratio.sum(axis=1))

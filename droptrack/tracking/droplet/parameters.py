@@ -17,6 +17,7 @@ class DropletParameters:
     n_init: int = 3  # detections that confirm a track
     appearance: float = 0.0  # cost of a cosine distance of one
     flow: bool = True  # velocities that are not known are those of the neighbours
+    expect_velocity: tuple[float, float] | None = None  # px a frame, where nothing is known yet
     size: bool = True  # sizes count
     jointly: bool = True  # one assignment of all; else each pair in turn, the best first
     both_ways: bool = True  # lost tracks are merged with new ones, as seen from both ends of a gap

@@ -4,16 +4,28 @@ Each stage is a function in a module of its own. It takes what it needs, tracks 
 new tracks; it writes into nothing that it takes.
 """
 
+from math import log
+
 import numpy as np
 
 from droptrack.data.arrays import Floats, Rows
-from droptrack.tracking.droplet.confirmation import MAX_FRAMES_OF_NEW, confirm, terminate
+from droptrack.tracking.droplet.confirmation import (
+    MAX_FRAMES_OF_NEW,
+    confirm,
+    confirm_leaving,
+    confirmable,
+    leaving,
+    support_of,
+    terminate,
+)
 from droptrack.tracking.droplet.correction import correct
 from droptrack.tracking.droplet.duplicates import find_duplicates
+from droptrack.tracking.droplet.flow import Flow
 from droptrack.tracking.droplet.matching import Matches, match
 from droptrack.tracking.droplet.merging import merge
-from droptrack.tracking.droplet.noise import FalseBoxes, Noise
+from droptrack.tracking.droplet.noise import FalseBoxes, Noise, median
 from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import predict
 from droptrack.tracking.droplet.tracks import Observations, Tracks, observe, start_tracks
 from droptrack.tracking.tracker import Update, check_descriptors
@@ -37,6 +49,9 @@ class DropletTracker:
         self.false_boxes = FalseBoxes()
         self.tracks = start_tracks(none, np.zeros(0, np.int64), 1, self.noise, p.unknown_step)
         self._next_id = 1
+        self._n_frames = 0
+        self.flow = Flow()
+        self.passages = Passages()
 
     @property
     def max_age(self) -> int:
@@ -53,25 +68,66 @@ class DropletTracker:
         """Frames after which a new track is confirmed, merged or terminated."""
         return MAX_FRAMES_OF_NEW
 
+    @property
+    def velocity_is_ambiguous(self) -> bool:
+        """Whether a second velocity explains the last images as well: see `Flow.common_step`.
+
+        `DropletParameters.expect_velocity` then tells which is right.
+        """
+        if not len(self.tracks) or self.parameters.expect_velocity is not None:
+            return False
+        common = self.flow.common_step(median(self.tracks.diameters))
+        return common is not None and common.ambiguous
+
     def update(self, boxes: Floats, descriptors: Floats) -> Update:
         """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
         check_descriptors(boxes, descriptors)
         p, noise = self.parameters, self.noise
         found = observe(boxes, descriptors if p.appearance else np.zeros((len(boxes), 0)))
-        tracks = predict(self.tracks, boxes, noise, p)
-        matches = match(tracks, found, noise, self.false_boxes, p)
+        flow = self.flow.seeing(self._n_frames, boxes[:, :2])
+        self._n_frames += 1
+        tracks = predict(self.tracks, boxes, noise, flow, p)
+        others = self._evidence_of_others(tracks, flow)
+        matches = match(tracks, found, noise, self.false_boxes, others, p)
         duplicate_of = find_duplicates(tracks, boxes, matches, p)
+        passages = _resumed(self.passages, tracks, matches)
         tracks, noise = correct(tracks, found, matches, noise, p)
         tracks, track_ids = self._start(tracks, found, matches, duplicate_of, noise)
-        tracks, merged = merge(tracks, noise, p)
-        tracks, confirmed = confirm(tracks, p)
-        tracks, self.false_boxes, terminated = terminate(tracks, self.false_boxes, p)
-        self.tracks, self.noise = tracks, noise
+        support = support_of(tracks, flow, passages, noise, self.false_boxes)
+        ready = confirmable(tracks, support, p)
+        if flow.images:
+            ready |= leaving(tracks, support, flow)
+        tracks, passages, merged = merge(tracks, ready, noise, passages, p)
+        if merged:
+            support = support_of(tracks, flow, passages, noise, self.false_boxes)
+        tracks, confirmed = confirm(tracks, support, p)
+        tracks, left = confirm_leaving(tracks, support, flow)
+        passages = _entered(passages, tracks, (*confirmed, *left), self._n_frames)
+        before = tracks
+        tracks, self.false_boxes, terminated = terminate(
+            tracks, left, support, flow, self.false_boxes, p
+        )
+        if terminated:
+            ended = np.flatnonzero(np.isin(before.ids, terminated) & before.confirmed)
+            passages = passages.leaving(before[ended])
+        self.passages = passages
+        self.tracks, self.noise, self.flow = tracks, noise, flow.learned(tracks)
         for new, old in merged:
             track_ids[track_ids == new] = old
         return Update(
-            track_ids=track_ids, confirmed=confirmed, terminated=terminated, merged=merged
+            track_ids=track_ids,
+            confirmed=(*confirmed, *left),
+            terminated=terminated,
+            merged=merged,
         )
+
+    def _evidence_of_others(self, tracks: Tracks, flow: Flow) -> float:
+        """2 log likelihood ratio of a detection of another droplet to a false box."""
+        if not flow.images or not len(tracks):
+            return 0.0
+        density = flow.density(median(tracks.diameters)) / self.false_boxes.density
+        size = self.passages.evidence_of_mean_size(self.noise.size)
+        return max(2 * log(density) + size, 0.0)
 
     def _start(
         self,
@@ -91,3 +147,26 @@ class DropletTracker:
         track_ids[matches.free] = new.ids
         self._next_id += len(new)
         return tracks.followed_by(new), track_ids
+
+
+def _resumed(passages: Passages, tracks: Tracks, matches: Matches) -> Passages:
+    """With this image, and the lost droplets that are seen again in it."""
+    passages = passages.with_image()
+    late = tracks.unseen > 1
+    if not late.any():
+        return passages
+    rows = matches.rows[tracks.confirmed[matches.rows]]
+    passages, again = passages.seeing(tracks.last_position[rows]), rows[late[rows]]
+    if not len(again):
+        return passages
+    return passages.resuming(tracks.last_position[again], tracks.unseen[again] - 1)
+
+
+def _entered(
+    passages: Passages, tracks: Tracks, confirmed: tuple[int, ...], n_frames: int
+) -> Passages:
+    """With those droplets, confirmed just now; some were there from the first frame on."""
+    if not confirmed:
+        return passages
+    new = tracks[np.flatnonzero(np.isin(tracks.ids, confirmed))]
+    return passages.entering(new, new.frames < n_frames)

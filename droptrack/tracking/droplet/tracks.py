@@ -34,7 +34,9 @@ class Tracks:
     ids: Rows
     hits: Rows  # detections
     missed: Rows  # frames since the last one
+    unseen: Rows  # images since the last one: a frame without any box has none
     frames: Rows  # since birth, the first one counted
+    images: Rows  # the same
     confirmed: Bools
     evidence: Floats  # (N,) 2 log likelihood ratio of a droplet to false boxes that happen to fit
     duplicate_of: Rows  # the track whose droplet had another box when this one was born, or 0
@@ -98,7 +100,9 @@ def start_tracks(
         ids=np.arange(first_id, first_id + n),
         hits=np.ones(n, np.int64),
         missed=np.zeros(n, np.int64),
+        unseen=np.zeros(n, np.int64),
         frames=np.ones(n, np.int64),
+        images=np.ones(n, np.int64),
         confirmed=np.zeros(n, bool),
         evidence=np.zeros(n),
         duplicate_of=duplicate_of,

@@ -1,1 +1,0 @@
-"""Detection engines, one file each."""

@@ -1,0 +1,164 @@
+"""What few droplets that pass one after the other tell of the flow: it is remembered.
+
+Where droplets are many, those of the same frame tell more, and nothing is remembered.
+"""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from droptrack.data.arrays import Bools, Floats
+from droptrack.tracking.droplet.tracks import Tracks
+
+MAX_SAMPLES = 96  # droplets of the last frames that are remembered
+MAX_DROPLETS = 12  # in a frame; where there are more, the frame itself tells
+MAX_IMAGES = 12  # the last ones whose boxes vote
+MIN_HITS = 2  # of a track whose velocity is remembered
+MAX_COMMON_STEP = 3.0  # diameters
+VOTE_DEVIATION = 0.15  # diameters, of a droplet from where the common step takes it
+MIN_SHARE = 0.6  # of the boxes that must agree with the common step
+UNSURE = 2.0  # boxes that disagree, before any is counted
+KERNEL_WIDTH = 0.3  # diameters, standard deviation of the kernel around a place
+ALIAS_LENGTH = 1.5  # of the best step's, up to which another is as likely
+
+
+class CommonStep(NamedTuple):
+    """A velocity (2,), px a frame, and whether another one explains the images as well."""
+
+    velocity: Floats
+    ambiguous: bool
+
+
+def _none() -> Floats:
+    return np.zeros((0, 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flow:
+    """Places and velocities of droplets, and the boxes' centres of the last images.
+
+    `low`, `high` (2,): corners of the region where droplets have been seen.
+    """
+
+    positions: Floats = field(default_factory=_none)  # (K, 2)
+    velocities: Floats = field(default_factory=_none)  # (K, 2) px a frame
+    images: tuple[tuple[int, Floats], ...] = ()  # frame numbers and points (M, 2)
+    n_images: int = 0  # the last ones, in which the samples were seen
+    low: Floats = field(default_factory=lambda: np.full(2, np.inf))
+    high: Floats = field(default_factory=lambda: np.full(2, -np.inf))
+
+    def seeing(self, frame: int, points: Floats) -> "Flow":
+        """With the centres (M, 2) of a frame's boxes."""
+        if not len(points):
+            return self
+        few = len(points) <= MAX_DROPLETS
+        if not few and not self.images:
+            return self
+        images = (*self.images[1 - MAX_IMAGES :], (frame, points)) if few else ()
+        return Flow(
+            positions=self.positions if few else _none(),
+            velocities=self.velocities if few else _none(),
+            images=images,
+            n_images=self.n_images,
+            low=self.low,
+            high=self.high,
+        )
+
+    def learned(self, tracks: Tracks) -> "Flow":
+        """With the tracks' droplets of this frame."""
+        if not self.images:
+            return self
+        known = (tracks.hits >= MIN_HITS) & (tracks.missed == 0)
+        if not known.any():
+            return self
+        position, velocity = tracks.state.position[known], tracks.state.velocity[known]
+        positions = np.concatenate([self.positions, position])
+        places = np.concatenate([position, tracks.first_position[known]])
+        full = len(positions) > MAX_SAMPLES
+        return Flow(
+            positions=positions[-MAX_SAMPLES:],
+            velocities=np.concatenate([self.velocities, velocity])[-MAX_SAMPLES:],
+            images=self.images,
+            n_images=self.n_images if full else self.n_images + 1,
+            low=np.minimum(self.low, places.min(axis=0)),
+            high=np.maximum(self.high, places.max(axis=0)),
+        )
+
+    def density(self, diameter: float) -> float:
+        """Droplets a squared diameter of the region, or 0 where they are too many to be counted."""
+        if not self.images:
+            return 0.0
+        everything = np.concatenate([points for _, points in self.images])
+        area = float((np.ptp(everything, axis=0) / diameter + 1).prod())
+        return len(everything) / len(self.images) / area
+
+    def left_by(self, tracks: Tracks) -> Bools:
+        """Tracks (N,) that began in the region and are expected out of it by now.
+
+        None where droplets are so many that nothing is remembered.
+        """
+        if not self.images:
+            return np.zeros(len(tracks), bool)
+        first, now = tracks.first_position, tracks.state.position
+        margin = KERNEL_WIDTH * tracks.diameters[:, None]
+        inside = ((first >= self.low - margin) & (first <= self.high + margin)).all(axis=1)
+        return np.asarray(inside & ((now < self.low) | (now > self.high)).any(axis=1))
+
+    def density_at(self, places: Floats, diameters: Floats) -> Floats:
+        """Droplets a squared diameter (N,) that were around places (N, 2) in the last images."""
+        width = KERNEL_WIDTH * diameters[:, None]
+        square = ((places[:, None] - self.positions) ** 2).sum(axis=2) / width**2
+        total = np.exp(-square / 2).sum(axis=1) / (2 * np.pi * KERNEL_WIDTH**2)
+        anywhere = self.density(float(np.median(diameters)))  # counts as one more image
+        return np.asarray((total + anywhere) / (self.n_images + 1))
+
+    def common_step(self, diameter: float) -> CommonStep | None:
+        """The velocity with which all droplets of the last images go, px a frame, if there is one.
+
+        Also whether another one, about as long, explains the images as well: in a train of equal
+        droplets, a step and the same less the spacing cannot be told apart.
+        """
+        pairs = [(later - before, a, b) for (before, a), (later, b) in pairwise(self.images)]
+        if not pairs:
+            return None
+        steps = np.concatenate(
+            [((b[None] - a[:, None]) / gap).reshape(-1, 2) for gap, a, b in pairs]
+        )
+        length = np.hypot(*steps.T) / diameter
+        steps, length = steps[length < MAX_COMMON_STEP], length[length < MAX_COMMON_STEP]
+        if not len(steps):
+            return None
+        share, count = _shares(steps, pairs, VOTE_DEVIATION * diameter)
+        best = int(share.argmax())
+        alike = share > share[best] - 1 / np.sqrt(count[best])  # as sure as a count is
+        good = np.flatnonzero(alike)
+        best = int(good[length[good].argmin()])  # of steps that explain alike, the shortest
+        if share.max() < MIN_SHARE:
+            return None
+        near = np.hypot(*(steps - steps[best]).T) < 3 * VOTE_DEVIATION * diameter
+        mean = np.asarray(steps[near & alike].mean(axis=0))
+        other = ~near & alike & (length < ALIAS_LENGTH * length[best])
+        return CommonStep(mean, bool(other.any()))
+
+
+def _shares(
+    steps: Floats, pairs: list[tuple[int, Floats, Floats]], deviation: float
+) -> tuple[Floats, Floats]:
+    """Of all boxes of images, the share (S,) that is where each step (S, 2) takes it, of how many.
+
+    Looking forwards and backwards; what a step takes out of the region of all boxes does not count.
+    """
+    everything = np.concatenate([points for _, *both in pairs for points in both])
+    low, high = everything.min(axis=0) - deviation, everything.max(axis=0) + deviation
+    agree, count = np.zeros(len(steps)), np.full(len(steps), UNSURE)
+    for gap, before, later in pairs:
+        for here, there, way in ((before, later, gap), (later, before, -gap)):
+            expected = here[None] + way * steps[:, None]  # (S, A, 2)
+            apart = expected[:, :, None] - there  # (S, A, B, 2)
+            square = (apart**2).sum(axis=3).min(axis=2) / deviation**2
+            inside = ((expected >= low) & (expected <= high)).all(axis=2)
+            agree += (inside * np.exp(-square / 2)).sum(axis=1)
+            count += inside.sum(axis=1)
+    return agree / count, count

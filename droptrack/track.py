@@ -25,7 +25,7 @@ from droptrack.options import (
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, DetectionsConfig, TrackingConfig
 from droptrack.pipeline.from_detections import run_detections
 from droptrack.pipeline.run import run
-from droptrack.tracking.choice import TrackerConfig, TrackerName
+from droptrack.tracking.choice import TrackerConfig, TrackerName, parse_velocity
 
 app = new_app()
 also_call(__name__, track)
@@ -89,6 +89,14 @@ def main(
     n_init: Annotated[
         int | None, typer.Option(min=1, help="Detections that confirm a droplet.")
     ] = None,
+    expect_velocity: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VX,VY",
+            help="Velocity of entering droplets, px a frame: where steps are longer than half the "
+            "spacing of a train, several velocities explain it.",
+        ),
+    ] = None,
     max_cosine_distance: Annotated[
         float, typer.Option(min=0, help="DeepSORT: maximum distance of appearance descriptors.")
     ] = TrackerConfig.max_cosine_distance,
@@ -105,6 +113,7 @@ def main(
         name=tracker,
         max_age=max_age,
         n_init=n_init,
+        expect_velocity=None if expect_velocity is None else parse_velocity(expect_velocity),
         max_cosine_distance=max_cosine_distance,
         nn_budget=nn_budget,
         max_iou_distance=max_iou_distance,

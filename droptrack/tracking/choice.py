@@ -2,9 +2,11 @@
 
 from dataclasses import asdict, dataclass
 from enum import StrEnum
+from math import isfinite
 from pathlib import Path
 
 from droptrack.data.report import Value
+from droptrack.errors import DroptrackError
 from droptrack.tracking.appearance import DescriptorExtractor, describe, describe_nothing
 from droptrack.tracking.appearance_network import NetworkAppearance
 from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
@@ -47,6 +49,24 @@ class TrackerConfig:
     appearance: Path | None = None
     appearance_weights: Path | None = None
     appearance_size: tuple[int, int] = (64, 64)
+
+
+def parse_velocity(text: str) -> tuple[float, float]:
+    """``24,-1.5`` as px a frame in x and y; raises DroptrackError for another text.
+
+    >>> parse_velocity("24,-1.5")
+    (24.0, -1.5)
+    """
+    parts = text.split(",")
+    try:
+        x, y = (float(part) for part in parts)
+    except ValueError:
+        raise DroptrackError(
+            f"--expect-velocity {text}: should be px a frame in x and y, such as 24,-1.5"
+        ) from None
+    if not (isfinite(x) and isfinite(y)):
+        raise DroptrackError(f"--expect-velocity {text}: should be finite")
+    return x, y
 
 
 def make_tracker(

@@ -249,3 +249,19 @@ def test_options_that_exclude_each_other_are_refused(tmp_path: Path) -> None:
     assert "takes the place of a video" in fails("video.avi", "--detections", path)
     assert "name a video" in fails()
     assert "name a video" in fails("video.avi", "--descriptors", path)
+
+
+def test_an_expected_velocity_tells_which_way_a_train_goes(tmp_path: Path) -> None:
+    """Discs 40 px apart that go 26 px a frame to the right, or 14 to the left: both explain it."""
+    starts = [[x for x in np.arange((26 * t) % 40, 390, 40.0) if x > 10] for t in range(12)]
+    frames = [labels([[x, 50.0, 20, 20] for x in one]) for one in starts]
+    path = tmp_path / "d.txt"
+    write_detections(path, frames)
+    for velocity, step in (("26,0", 26.0), ("-14,0", -14.0)):
+        out = tmp_path / velocity
+        track("--detections", str(path), "--out", str(out), "--expect-velocity", velocity)
+        rows, _ = read_trajectories(out / "trajectories.csv")
+        steps = [np.diff(rows.x[rows.track_id == one]) for one in np.unique(rows.track_id).tolist()]
+        assert np.median(np.concatenate(steps)) == pytest.approx(step, abs=0.5)
+    options = ("--detections", str(path), "--out", str(tmp_path / "x"), "--expect-velocity")
+    assert "such as 24,-1.5" in fails(*options, "fast")

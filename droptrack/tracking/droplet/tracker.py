@@ -36,10 +36,12 @@ class DropletTracker:
 
     >>> tracker = DropletTracker(DropletParameters())
     >>> box = np.array([[50.0, 40, 20, 20]])
+    >>> confirmed = set()
     >>> for _ in range(3):
     ...     update = tracker.update(box, np.zeros((1, 0)))
-    >>> update.track_ids, update.confirmed
-    (array([1]), (1,))
+    ...     confirmed.update(update.confirmed)
+    >>> update.track_ids, confirmed
+    (array([1]), {1})
     """
 
     def __init__(self, parameters: DropletParameters) -> None:

@@ -15,7 +15,8 @@ from droptrack.data.trajectories import read_trajectories
 
 @pytest.mark.parametrize("name", MOTIONS)
 def test_perfect_detections_are_the_ground_truth(name: str) -> None:
-    motion = replace(MOTIONS[name], missing=0, false=0, jitter=0, frames=8)
+    perfect = replace(MOTIONS[name], missing=0, false=0, jitter=0, images_missing=0)
+    motion = replace(perfect, frames=8)
     truth, frames = make(motion, 0)
     for number, found in enumerate(frames):
         mine = truth[truth.frame == number].boxes
@@ -25,6 +26,17 @@ def test_perfect_detections_are_the_ground_truth(name: str) -> None:
         )
         assert (boxes[:, :2] >= boxes[:, 2:] / 2 - 1e-9).all()
         assert (boxes[:, :2] <= [WIDTH, HEIGHT] - boxes[:, 2:] / 2 + 1e-9).all()
+
+
+def test_a_missing_image_has_no_boxes_and_the_others_all() -> None:
+    motion = replace(MOTIONS["train 2 0.2 holes"], missing=0, false=0, jitter=0, frames=60)
+    truth, frames = make(motion, 0)
+    n_empty = 0
+    for number, found in enumerate(frames):
+        n = int((truth.frame == number).sum())
+        assert len(found) in (0, n)
+        n_empty += n > 0 and not len(found)
+    assert 10 < n_empty < 30
 
 
 def steps(motion: Motion) -> tuple[np.ndarray, np.ndarray]:

@@ -5,6 +5,7 @@ Each has a few settings, of which the bench takes the best on each set: more tha
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from itertools import product
 
 import cv2
@@ -18,11 +19,13 @@ Finder = Callable[[Pixels], Detections]
 
 
 def finders() -> Iterator[tuple[str, Finder]]:
-    """Every method with every setting, by the method's name."""
+    """Every method with every setting, by the method's name; trackpy's where it is installed."""
     for bright, seeds in product((False, True), (0.3, 0.5, 0.7)):
         yield "threshold, watershed", partial(watershed, bright=bright, seeds=seeds)
     for radius, votes in product((10, 25, 60), (15, 30, 50)):
         yield "Hough circles", partial(hough, radius=radius, votes=votes)
+    if find_spec("trackpy") is None:
+        return
     for diameter, dark in product((11, 21, 41, 81), (False, True)):
         yield "trackpy.locate", partial(trackpy_locate, diameter=diameter, dark=dark)
 

@@ -1,7 +1,7 @@
 """Plugs in channels: stadium shapes one after the other between straight walls."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from data_gen.scenes.surroundings import draw_line, texture
 from droptrack.data.arrays import Float32s, Floats
 
 REACH = 1.1 * WIDTH  # px from a channel's middle, beyond which nothing of it is in the image
+JOINED = 0.75  # share of images whose channels open into one another
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,12 @@ class WallLine:
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """A straight channel through a point, at an angle in radians, with the lines of its walls."""
+    """A straight channel through a point, at an angle in radians, from `start` px along it on."""
 
     centre: Floats
     angle: float
     width: float
-    walls: tuple[WallLine, ...]
+    start: float = -2.0 * WIDTH
 
     @property
     def along(self) -> Floats:
@@ -42,31 +43,57 @@ class Channel:
         """Unit vector (2,) at right angles to it."""
         return np.array([-np.sin(self.angle), np.cos(self.angle)])
 
+    def distance(self) -> Float32s:
+        """How far (H, W) px from its walls each pixel is; negative in the channel."""
+        whole = patch_around(SHAPE, np.array([WIDTH, HEIGHT]) / 2, WIDTH)
+        x, y = whole.x - np.float32(self.centre[0]), whole.y - np.float32(self.centre[1])
+        along, across = self.along.astype(np.float32), self.across.astype(np.float32)
+        sideways = np.abs(np.add.outer(across[1] * y, across[0] * x)) - np.float32(self.width / 2)
+        before = np.float32(self.start) - np.add.outer(along[1] * y, along[0] * x)
+        return np.asarray(np.maximum(sideways, before), np.float32)
+
 
 def plugs(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     """Plugs one after the other in one to three parallel channels, with junctions."""
     width = log_uniform(rng, 22, 330)
     angle = float(rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)], p=[0.6, 0.15, 0.25]))
     middle = rng.uniform(0.25, 0.75, 2) * [WIDTH, HEIGHT]
-    main = Channel(centre=middle, angle=angle, width=width, walls=_random_walls(rng))
+    main = Channel(centre=middle, angle=angle, width=width)
     if rng.random() < 0.5:
         _draw_structures(rng, canvas)
     n = int(rng.integers(1, 4)) if width < 120 else 1
+    lanes = []
     for lane in range(n):
         shift = (lane - (n - 1) / 2) * width * rng.uniform(1.5, 2.5)
-        centre = middle + main.across * shift
-        lane_channel = Channel(centre=centre, angle=angle, width=width, walls=main.walls)
-        _draw_walls(canvas, lane_channel, start=-2 * WIDTH)
-        yield from _train(rng, lane_channel)
-    for _ in range(rng.integers(0, 3) if rng.random() < 0.5 else 0):
-        side = Channel(
-            centre=middle + main.along * rng.uniform(-0.5, 0.5) * WIDTH,
-            angle=angle + float(rng.choice([np.pi / 2, rng.uniform(0.4, 2.7)])),
-            width=width * rng.uniform(0.4, 1.2),
-            walls=main.walls,
+        lanes.append(Channel(centre=middle + main.across * shift, angle=angle, width=width))
+    sides, junction = _side_channels(rng, main)
+    walls = random_walls(rng)
+    inside = rng.normal(0, 12) if rng.random() < 0.4 else 0.0
+    channels = lanes + sides
+    layers = [channels] if rng.random() < JOINED else [[channel] for channel in channels]
+    draw_walls(canvas, layers, walls, inside)
+    for channel in lanes:
+        yield from _train(rng, channel, junction)
+
+
+def _side_channels(rng: np.random.Generator, main: Channel) -> tuple[list[Channel], float | None]:
+    """Channels that cross or join one, and where along it, in px, if there are any."""
+    if rng.random() < 0.5:
+        return [], None
+    place = float(rng.uniform(-0.4, 0.4)) * WIDTH
+    angle = float(rng.choice([np.pi / 2, rng.uniform(0.4, 2.7)]))
+    sides = []
+    for turn in (angle, -angle)[: rng.integers(1, 3)]:
+        spread = 0.0 if rng.random() < 0.7 else rng.normal(0, 0.2) * WIDTH
+        sides.append(
+            Channel(
+                centre=main.centre + main.along * (place + spread),
+                angle=main.angle + turn,
+                width=main.width * rng.uniform(0.4, 1.2),
+                start=-2 * WIDTH if rng.random() < 0.4 else 0.0,
+            )
         )
-        crosses = rng.random() < 0.7
-        _draw_walls(canvas, side, start=-2 * WIDTH if crosses else side.width / 2)
+    return sides, place
 
 
 def empty(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
@@ -78,8 +105,11 @@ def empty(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     yield from ()
 
 
-def _train(rng: np.random.Generator, channel: Channel) -> Iterator[Outline]:
-    """The plugs of a channel, alike and evenly spaced; sometimes one is still being formed."""
+def _train(rng: np.random.Generator, channel: Channel, junction: float | None) -> Iterator[Outline]:
+    """The plugs of a channel, alike and evenly spaced; sometimes one is still being formed.
+
+    `junction`: where along the channel, px, another one meets it: plugs break off there.
+    """
     filling = rng.uniform(0.78, 1.02) if rng.random() < 0.75 else rng.uniform(0.4, 0.8)
     height = filling * channel.width / 2
     length = height * log_uniform(rng, 1.0, 4.5)
@@ -88,7 +118,9 @@ def _train(rng: np.random.Generator, channel: Channel) -> Iterator[Outline]:
     sides = float(rng.uniform(0, 0.7)) if rng.random() < 0.5 else 1.0
     at = rng.uniform(0, step) - REACH
     # a thread from the image's edge up to where plugs break off; it is no droplet yet
-    thread = rng.uniform(-0.5, 0.5) * WIDTH if rng.random() < 0.2 else REACH
+    thread = REACH
+    if rng.random() < (0.2 if junction is None else 0.5):
+        thread = rng.uniform(-0.5, 0.5) * WIDTH if junction is None else junction
     while at < min(thread, REACH):
         place = channel.centre + channel.along * at
         place = place + channel.across * rng.normal(0, 0.01) * channel.width
@@ -96,9 +128,31 @@ def _train(rng: np.random.Generator, channel: Channel) -> Iterator[Outline]:
         yield from _plug(channel.angle, place, half, roundness, sides, labelled=True)
         at += step * rng.normal(1, 0.02) if rng.random() < 0.9 else 2 * step
     if thread < REACH:
-        half = np.array([2.0 * WIDTH, height * rng.uniform(0.4, 1)])
+        half = np.array([2.0 * WIDTH, height * rng.uniform(0.15, 1)])
         place = channel.centre + channel.along * (at + half[0])
-        yield from _plug(channel.angle, place, half, roundness, sides, labelled=False)
+        yield from forming_plug(channel, place, half, height, sides)
+
+
+def forming_plug(
+    channel: Channel, centre: Floats, half: Floats, height: float, sides: float
+) -> Iterator[Outline]:
+    """What is about to become plugs: a thread of half sizes (2,) px with a head at its beginning.
+
+    The head is up to `height` px high, half of it; where the thread is as high, there is none.
+    """
+    outline = next(_plug(channel.angle, centre, half, 1.0, sides, labelled=False), None)
+    if outline is None:
+        return
+    if half[1] > 0.8 * height:
+        yield outline
+        return
+    tip = centre - channel.along * (half[0] - 1.3 * height)
+    head = stadium_distance(
+        outline.patch, tip, np.array([1.3 * height, height]), height, channel.angle
+    )
+    neck = np.float32(0.4 * height)  # smooth minimum: head and thread are one surface
+    both = -neck * np.logaddexp(-outline.distance / neck, -head / neck)
+    yield replace(outline, distance=np.asarray(both, np.float32), rim=1.0)
 
 
 def _plug(
@@ -135,7 +189,7 @@ def _caps(
     return np.asarray(sides + (1 - sides) * cap, np.float32)
 
 
-def _random_walls(rng: np.random.Generator) -> tuple[WallLine, ...]:
+def random_walls(rng: np.random.Generator) -> tuple[WallLine, ...]:
     """One to three lines, dark and bright in turn, mostly dark first."""
     first = -1 if rng.random() < 0.75 else 1
     width = log_uniform(rng, 1, 16)
@@ -147,13 +201,23 @@ def _random_walls(rng: np.random.Generator) -> tuple[WallLine, ...]:
     )
 
 
-def _draw_walls(canvas: Float32s, channel: Channel, start: float) -> None:
-    """Both walls of a channel, from `start` px along it to beyond the image."""
-    ends = [channel.centre + channel.along * at for at in (start, 2 * WIDTH)]
-    for line in channel.walls:
-        for side in (-1, 1):
-            shift = side * channel.across * (channel.width / 2 + line.away + line.width / 2)
-            draw_line(canvas, ends[0] + shift, ends[1] + shift, line.width, line.level)
+def draw_walls(
+    canvas: Float32s,
+    layers: Sequence[Sequence[Channel]],
+    walls: Sequence[WallLine],
+    inside: float,
+) -> None:
+    """The walls of channels, and the level of the liquid between them, relative to what is below.
+
+    Channels of one layer open into one another; layers cross.
+    """
+    for channels in layers:
+        distance = np.minimum.reduce([channel.distance() for channel in channels])
+        for line in walls:
+            middle, half = np.float32(line.away + line.width / 2), np.float32(line.width / 2)
+            shown = np.clip(half + np.float32(0.5) - np.abs(distance - middle), 0, 1)
+            canvas += shown * np.float32(line.level)
+        canvas += np.clip(np.float32(0.5) - distance, 0, 1) * np.float32(inside)
 
 
 def _draw_structures(rng: np.random.Generator, canvas: Float32s) -> None:

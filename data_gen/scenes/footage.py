@@ -36,7 +36,7 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     """An image (H, W) of a scene by its name, and the boxes of the droplets in it."""
     canvas, level = background(rng, SHAPE)
     look = random_look(rng, level)
-    stop = field_stop(rng, SHAPE) if rng.random() < 0.15 else None
+    stop = field_stop(rng, SHAPE) if rng.random() < (0.25 if name == "plugs" else 0.1) else None
     boxes = []
     for outline in ARRANGEMENTS[name](rng, canvas):
         paint(canvas, outline.patch, outline.distance, look, outline.radius, outline.rim, rng)

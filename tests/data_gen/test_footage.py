@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from data_gen.scenes.appearance import paint, random_look
+from data_gen.scenes.channels import Channel, draw_walls, forming_plug, random_walls
 from data_gen.scenes.dataset import image_source
 from data_gen.scenes.distances import (
     box_of,
@@ -86,6 +87,45 @@ def test_a_droplet_is_visible_on_its_background_and_changes_nothing_else(seed: i
     assert change[distance > 2].max() < 1e-3
     canvas[patch.rows, patch.columns] = level
     assert (canvas == np.float32(level)).all()
+
+
+def test_a_channel_is_a_strip_from_its_start_on() -> None:
+    """Along x at y = 200.5, 40 px wide, from x = 301 on: distances by hand."""
+    centre = np.array([300.5, 200.5])
+    distance = Channel(centre=centre, angle=0.0, width=40, start=0.5).distance()
+    assert distance.shape == SHAPE
+    assert distance[200, 600] == pytest.approx(-20)
+    assert distance[230, 600] == pytest.approx(10)
+    assert distance[200, 290] == pytest.approx(10.5)
+
+
+def test_channels_of_one_layer_open_into_one_another_those_of_two_cross() -> None:
+    rng = np.random.default_rng(0)
+    middle = np.array([600.5, 300.5])
+    cross = [Channel(centre=middle, angle=angle, width=60) for angle in (0.0, np.pi / 2)]
+    walls = random_walls(rng)
+    joined, layered = np.zeros((2, *SHAPE), np.float32)
+    draw_walls(joined, [cross], walls, 0)
+    draw_walls(layered, [cross[:1], cross[1:]], walls, 0)
+    beside = 300 + 30 + int(walls[0].away + walls[0].width / 2)  # the wall below the first channel
+    assert abs(joined[beside, 100]) > 10
+    assert joined[beside, 600] == 0
+    assert joined[beside, 100] == pytest.approx(layered[beside, 100])
+    assert abs(layered[beside, 600]) > 10
+
+
+def test_a_thread_has_a_head_as_high_as_a_plug_and_no_label() -> None:
+    """From x = 600 to the right, 24 px high, plugs 60 px; smooth, so a bit larger."""
+    channel = Channel(centre=np.array([600.5, 300.5]), angle=0.0, width=80)
+    half = np.array([400.0, 12.0])
+    (outline,) = forming_plug(channel, np.array([1000.5, 300.5]), half, 30.0, 1.0)
+    assert not outline.labelled
+    inside = np.zeros(SHAPE, bool)
+    inside[outline.patch.rows, outline.patch.columns] = outline.distance < 0
+    heights = inside.sum(axis=0)
+    assert np.flatnonzero(heights)[0] == pytest.approx(600, abs=5)
+    assert heights[600:720].max() == pytest.approx(60, abs=6)
+    assert heights[1000] == pytest.approx(24, abs=2)
 
 
 @pytest.mark.parametrize("name", ARRANGEMENTS)

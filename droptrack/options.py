@@ -36,6 +36,13 @@ ScoreOption = Annotated[float, typer.Option(min=0, max=1, help="Minimum score of
 MaxIouOption = Annotated[
     float, typer.Option(min=0, max=1, help="IoU above which two boxes are one droplet.")
 ]
+RegionOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X,Y X,Y X,Y... | FILE",
+        help="Where droplets count: a polygon, px, or an image that is black elsewhere.",
+    ),
+]
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]

@@ -17,6 +17,7 @@ from droptrack.options import (
     DiameterOption,
     MaxIouOption,
     PrecisionOption,
+    RegionOption,
     ScaleOption,
     ScoreOption,
     SizeOption,
@@ -66,6 +67,7 @@ def main(
     score: ScoreOption = MIN_SCORE,
     max_iou: MaxIouOption = MAX_IOU,
     dark: DarkOption = False,
+    region: RegionOption = None,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
@@ -147,6 +149,7 @@ def main(
             score=score,
             max_iou=max_iou,
             dark=dark,
+            region=region,
             batch=batch,
             max_frames=max_frames,
             annotated_video=not no_video,

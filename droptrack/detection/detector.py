@@ -9,6 +9,7 @@ import cv2
 from droptrack.data.arrays import Float32s
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame, negative
+from droptrack.data.region import Region
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.decoding import select
 from droptrack.detection.scale import Canvas
@@ -56,7 +57,8 @@ class Detector:
     `threshold`: minimum score of a detection; `max_iou`: IoU above which two detections are one
     droplet; `dark`: droplets are darker than what is around them, and the network learned bright
     ones, so that it is shown the negative; `greedy`: as for `suppress_duplicates`;
-    `canvas`: what frames are extended to, so that they need not be stretched.
+    `canvas`: what frames are extended to, so that they need not be stretched; `region`: where
+    droplets count, by their boxes' centres; None: everywhere.
     """
 
     def __init__(
@@ -68,9 +70,10 @@ class Detector:
         dark: bool = False,
         greedy: bool = False,
         canvas: Canvas | None = None,
+        region: Region | None = None,
     ) -> None:
         self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
-        self.dark, self.greedy, self.canvas = dark, greedy, canvas
+        self.dark, self.greedy, self.canvas, self.region = dark, greedy, canvas, region
 
     def detect(self, frames: Sequence[Frame]) -> list[Detections]:
         """The detections of each of some frames (H, W, 3) of one size, in one pass.
@@ -103,9 +106,17 @@ class Detector:
                     select(rows, width, height, self.threshold, self.max_iou, greedy=self.greedy)
                     for rows in self.engine.rows(outputs)
                 ]
-                return found if canvas is None else [canvas.within(one) for one in found]
+                return [self._counted(one) for one in found]
 
         return finish
+
+    def _counted(self, found: Detections) -> Detections:
+        """Those that lie in the frame, and in the region of interest if there is one."""
+        if self.canvas is not None:
+            found = self.canvas.within(found)
+        if self.region is not None:
+            found = found[self.region.contains(found.boxes[:, :2])]
+        return found
 
     @contextmanager
     def _failures(self) -> Iterator[None]:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from droptrack.data.frames import grey_frame
+from droptrack.data.region import Region
 from droptrack.detection.detector import Detector, Engine, first_line
 from droptrack.detection.engines import opencv_dnn
 from droptrack.detection.scale import Canvas
@@ -66,6 +67,7 @@ class Network:
     dark: bool = False
     greedy: bool = False
     canvas: Canvas | None = None
+    region: Region | None = None
 
     def weights(self) -> Weights:
         """The weights; raises DroptrackError for a file that does not fit the cfg."""
@@ -80,6 +82,7 @@ class Network:
             dark=self.dark,
             greedy=self.greedy,
             canvas=self.canvas,
+            region=self.region,
         )
 
 

@@ -18,7 +18,8 @@ class DetectorConfig:
     network's input for a px of the frames, or `diameter_px`, the diameter of a typical droplet in
     the frames, from which the scale follows; without, the input is as large as the network's own,
     and has the frames' shape. `score`: the minimum score of a droplet. `max_iou`: the IoU above
-    which two boxes are one droplet. `dark`: droplets are darker than their surroundings.
+    which two boxes are one droplet. `dark`: droplets are darker than their surroundings. `region`:
+    where droplets count, a polygon or an image, see `data.region.Region.read`; None: everywhere.
     """
 
     weights: Path | None = None
@@ -31,6 +32,7 @@ class DetectorConfig:
     score: float = MIN_SCORE
     max_iou: float = MAX_IOU
     dark: bool = False
+    region: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

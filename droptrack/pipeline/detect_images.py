@@ -219,5 +219,6 @@ def _settings(
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,
+        "region": config.region or "",
         "diameters": "sqrt(w h) of the boxes of droplets that no edge cuts",
     }

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from droptrack.compiled import explained
+from droptrack.data.region import Region
 from droptrack.detection import decoding
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
@@ -48,6 +49,7 @@ def open_detector(
             max_iou=config.max_iou,
             dark=config.dark,
             canvas=canvas,
+            region=None if config.region is None else Region.read(config.region, width, height),
         ),
         config.backend,
         config.precision,

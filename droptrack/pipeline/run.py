@@ -138,6 +138,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,
+        "region": config.region or "",
         **opened.tracker_settings,
     }
 

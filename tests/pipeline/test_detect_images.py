@@ -99,3 +99,16 @@ def test_without_droplets_or_images_it_is_said(tmp_path: Path) -> None:
         assert code == 1
         assert problem in said
         assert not (tmp_path / "other").exists()
+
+
+def test_droplets_beside_the_region_do_not_count(tmp_path: Path) -> None:
+    """Two discs; the polygon has the left one."""
+    path, out = tmp_path / "one.png", tmp_path / "out"
+    image_of(path, [(100.25, 120, 30), (300, 200.5, 40)], (500, 400))
+    code, said = detect(str(path), "--out", str(out), "--region", "0,0 200,0 200,400 0,400")
+    assert code == 0, said
+    (row,) = rows_of(out)
+    assert float(row["x"]) == pytest.approx(100.25, abs=0.05)
+    code, said = detect(str(path), "--out", str(out), "--region", "900,0 950,0 950,40")
+    assert code == 1
+    assert "no pixel of the 500 x 400 px frames is in it" in said

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.detection.scale import parse_scale
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, TrackingConfig
 from droptrack.pipeline.run import TrackingRun, run
@@ -20,7 +21,7 @@ def track(
     weights: str | Path | None = None,
     cfg: str | Path | None = None,
     size: str | None = None,
-    scale: float | None = None,
+    scale: float | str | None = None,
     diameter_px: float | None = None,
     backend: str = Backend.auto,
     precision: str = Precision.auto,
@@ -56,7 +57,7 @@ def track(
             weights=_path(weights),
             cfg=_path(cfg),
             size=size,
-            scale=scale,
+            scale=parse_scale(scale) if isinstance(scale, str) else scale,
             diameter_px=diameter_px,
             backend=_one_of(Backend, "backend", backend),
             precision=_one_of(Precision, "precision", precision),

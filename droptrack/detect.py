@@ -8,6 +8,7 @@ import typer
 
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.detection.scale import parse_scale
 from droptrack.options import (
     BackendOption,
     CfgOption,
@@ -56,7 +57,7 @@ def main(
         weights=weights,
         cfg=cfg,
         size=size,
-        scale=scale,
+        scale=None if scale is None else parse_scale(scale),
         diameter_px=diameter,
         backend=backend,
         precision=precision,

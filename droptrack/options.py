@@ -25,8 +25,12 @@ PrecisionOption = Annotated[
     typer.Option(help="What the network computes in; auto: the fastest checked; fp32: exact."),
 ]
 ScaleOption = Annotated[
-    float | None,
-    typer.Option(min=0.01, help="Px of the network's input for a px of the frames; not --size."),
+    str | None,
+    typer.Option(
+        metavar="auto|NUMBER",
+        help="Px of the network's input for a px of the frames; auto, the bundled model's default: "
+        "what suits the droplets of some of the frames.",
+    ),
 ]
 DiameterOption = Annotated[
     float | None,

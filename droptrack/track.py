@@ -9,6 +9,7 @@ import typer
 from droptrack.api import track
 from droptrack.command_line import also_call, new_app, one_line_errors
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.detection.scale import parse_scale
 from droptrack.errors import DroptrackError
 from droptrack.options import (
     BackendOption,
@@ -141,7 +142,7 @@ def main(
             weights=weights,
             cfg=cfg,
             size=size,
-            scale=scale,
+            scale=None if scale is None else parse_scale(scale),
             diameter_px=diameter,
             backend=backend,
             precision=precision,

@@ -69,6 +69,13 @@ class Video:
         sane = math.isfinite(fps) and 0 < fps <= 1e5
         self.info = VideoInfo(width, height, fps if sane else DEFAULT_FPS, claimed)
 
+    @property
+    def first_frame(self) -> Frame:
+        """The first frame, until `numbered` has begun."""
+        if self._first is None:
+            raise ValueError("frames are being read")
+        return self._first[1]
+
     def __iter__(self) -> Iterator[Frame]:
         """Every frame, once."""
         for _, frame in self.numbered():
@@ -174,7 +181,7 @@ def _read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int
             if ok:
                 n_failed = 0
                 frame = as_frame(image)
-                grey = _without_colour(frame) if maybe_grey else None
+                grey = without_colour(frame) if maybe_grey else None
                 maybe_grey = grey is not None
                 yield index, frame if grey is None else grey
             else:
@@ -226,13 +233,13 @@ def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]
     for index, packet in enumerate(packets):
         if maybe_grey and index % LOOK_FOR_COLOUR == 0:
             small = cv2.imdecode(packet, cv2.IMREAD_REDUCED_COLOR_8)
-            maybe_grey = small is None or _without_colour(as_frame(small)) is not None
+            maybe_grey = small is None or without_colour(as_frame(small)) is not None
         image = cv2.imdecode(packet, cv2.IMREAD_GRAYSCALE if maybe_grey else cv2.IMREAD_COLOR)
         if image is not None:
             yield index, as_frame(image)
 
 
-def _without_colour(frame: Frame) -> Frame | None:
+def without_colour(frame: Frame) -> Frame | None:
     """The same as a grey frame; None where it has a colour."""
     if grey_plane(frame) is not None:
         return frame

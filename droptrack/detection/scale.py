@@ -12,11 +12,30 @@ import numpy as np
 
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame, grey_frame, grey_plane
+from droptrack.errors import DroptrackError
 
 STRIDE = 32  # px, of an input's sides
 MAX_STRETCH = 0.1  # of a frame's shape, which networks see in training, too
 MAX_SIDE_PX = 6400  # of an input
+AUTO = "auto"  # the scale that the frames suggest
 DIAMETER_PX = 40.0  # of a droplet in the input, which the bundled model finds best
+
+
+def parse_scale(text: str) -> float | str:
+    """A scale, or AUTO; raises DroptrackError for another text.
+
+    >>> parse_scale("0.5"), parse_scale("auto")
+    (0.5, 'auto')
+    """
+    if text == AUTO:
+        return AUTO
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = math.nan
+    if not 0.01 <= scale <= 100:
+        raise DroptrackError(f"--scale {text}: should be auto, or a number such as 0.5")
+    return scale
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Images in; a table of their droplets, annotated images, counts and sizes out. No tracking."""
 
 import csv
+import functools
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -11,12 +12,14 @@ from typing import TextIO
 
 import cv2
 import numpy as np
+import PIL.Image
 
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.detections import Detections
 from droptrack.data.files import replacing
 from droptrack.data.frames import Frame, as_frame
 from droptrack.data.report import Report, Value
+from droptrack.data.samples import N_SAMPLES, sample_frames, spread
 from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
 from droptrack.errors import DroptrackError
 from droptrack.measurement.centre_of_mass import centres_of_mass
@@ -79,7 +82,8 @@ def detect_images(
         for image in bar.track(chain([first], images), description="detecting"):
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
-                detectors[size] = open_detector(config, *size, live=False, say=say)
+                samples = functools.partial(_samples, config.sources, image)
+                detectors[size] = open_detector(config, size, samples, live=False, say=say)
             (found,) = detectors[size].detector.detect([image.frame])
             results.add(image, found)
     settings = _settings(config, detectors)
@@ -147,21 +151,46 @@ class _Results:
 def read_images(sources: tuple[str, ...]) -> Iterator[Image]:
     """Every image of the sources. Raises DroptrackError for what cannot be read, or holds none."""
     n = 0
+    for file in _files(sources):
+        if file.suffix.lower() in IMAGE_SUFFIXES:
+            yield Image(file, 0, _read_image(file))
+            n += 1
+        else:
+            for number, frame in Video(str(file)).numbered():
+                yield Image(file, number, frame)
+                n += 1
+    if not n:
+        raise DroptrackError("name an image, a folder of images, or a video")
+
+
+def _files(sources: tuple[str, ...]) -> Iterator[Path]:
+    """The images and videos that sources name."""
     for source in sources:
         path = Path(source)
         files = image_files(path) if path.is_dir() else [path]
         if path.is_dir() and not files:
             raise DroptrackError(f"{path}: has no images")
-        for file in files:
-            if file.suffix.lower() in IMAGE_SUFFIXES:
-                yield Image(file, 0, _read_image(file))
-                n += 1
-            else:
-                for number, frame in Video(str(file)).numbered():
-                    yield Image(file, number, frame)
-                    n += 1
-    if not n:
-        raise DroptrackError("name an image, a folder of images, or a video")
+        yield from files
+
+
+def _samples(sources: tuple[str, ...], like: Image) -> list[Frame]:
+    """Some frames of an image's video; or some of all images of its size, that one first."""
+    if like.source.suffix.lower() not in IMAGE_SUFFIXES:
+        return sample_frames(Video(str(like.source)), N_SAMPLES)
+    size = like.frame.shape[1::-1]
+    alike = [file for file in _files(sources) if file != like.source and _image_size(file) == size]
+    others = [alike[number] for number in spread(len(alike), N_SAMPLES - 1)]
+    frames = [like.frame, *(_read_image(file) for file in others)]
+    return [frame for frame in frames if frame.shape == like.frame.shape]
+
+
+def _image_size(path: Path) -> tuple[int, int] | None:
+    """Width and height of an image, from its first bytes; None where they do not say."""
+    try:
+        with PIL.Image.open(path) as image:
+            return image.size
+    except OSError:
+        return None
 
 
 def at_edge(boxes: Floats, size: tuple[int, int]) -> Bools:
@@ -215,7 +244,7 @@ def _settings(
         "weights sha256": sha256_of(opened.weights),
         "backend": opened.detector.engine.name,
         "network_size": [opened.cfg.width, opened.cfg.height],
-        "scale": opened.scale,
+        **opened.scale_settings,
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,

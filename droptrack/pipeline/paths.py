@@ -1,6 +1,7 @@
 """What is said of each droplet's path at the end, gathered without keeping every row."""
 
 from array import array
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from math import hypot, nan
 
@@ -28,6 +29,16 @@ class DropletPath:
     length_px: float = 0.0
     step_px: float = DRAWN_STEP_PX
     points: "array[float]" = field(default_factory=lambda: array("f"))
+
+    @property
+    def start(self) -> tuple[float, float]:
+        """Where it was first seen, x and y px."""
+        return self.points[0], self.points[1]
+
+    @property
+    def diameter_px(self) -> float:
+        """Its mean diameter sqrt(w h)."""
+        return self.diameters_px / (self.n_observed + self.n_bridged)
 
     def add(self, last_frame: int, xs: list[float], ys: list[float]) -> None:
         """Go on through later positions to a later frame."""
@@ -70,6 +81,10 @@ class Paths:
             path.n_bridged += end - start - n_observed
             path.diameters_px += diameters_px
 
+    def each(self) -> Collection[DropletPath]:
+        """The path of each droplet."""
+        return self._paths.values()
+
     def table(self) -> list[dict[str, Value]]:
         """One row a droplet: when and how far it went."""
         table: list[dict[str, Value]] = []
@@ -82,7 +97,7 @@ class Paths:
                     "last_frame": path.last_frame,
                     "n_observed": path.n_observed,
                     "n_bridged": path.n_bridged,
-                    "diameter_px": path.diameters_px / (path.n_observed + path.n_bridged),
+                    "diameter_px": path.diameter_px,
                     "path_px": path.length_px,
                     "speed_px_per_frame": path.length_px / n_steps if n_steps else nan,
                 }

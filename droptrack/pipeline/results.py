@@ -76,11 +76,16 @@ class Results:
 
 
 def summarise(
-    results: Results, settings: dict[str, Value], n_missing: int, seconds: float
+    results: Results,
+    settings: dict[str, Value],
+    n_missing: int,
+    seconds: float,
+    doubts: list[str] | None = None,
 ) -> Report:
     """One row a droplet: when and how far it went.
 
-    `n_missing` frames could not be decoded; `seconds` are those of the whole.
+    `n_missing` frames could not be decoded; `seconds` are those of the whole; `doubts`: what makes
+    one doubt the results.
     """
     droplets = results.paths.table()
     summary: dict[str, Value] = {
@@ -95,6 +100,8 @@ def summarise(
         "frames_per_second": results.n_frames / seconds,
         **results.times.milliseconds_a_frame(results.n_frames),
     }
+    if doubts:
+        summary["doubts"] = doubts
     return Report("Droplets", settings, summary, droplets)
 
 

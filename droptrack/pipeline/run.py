@@ -3,17 +3,19 @@
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 
 from droptrack.data.report import Report, Value
+from droptrack.data.samples import N_SAMPLES, sample_frames
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.data.video import Video, VideoWriter
 from droptrack.errors import DroptrackError
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.pipeline.doubts import doubts
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
@@ -79,12 +81,16 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     total = opened.n_frames(config.max_frames)
     n_missing = 0 if opened.live or problem else max(0, total - results.n_frames)
     settings = {**about, **_settings(config, opened)}
-    report = summarise(results, settings, n_missing, time.perf_counter() - began)
+    seconds = time.perf_counter() - began
+    odd = doubts(results.paths.each(), results.n_frames, network, opened.network.scale)
+    report = summarise(results, settings, n_missing, seconds, odd)
     write_report(folder, report, results.paths, (info.width, info.height))
     if problem is not None:
         problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
     else:
         _say_what_is_odd(config, results, n_missing, total, say)
+        for doubt in odd:
+            say(f"{config.video}: {doubt}")
     return TrackingRun(folder, report, problem)
 
 
@@ -95,7 +101,9 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
     source = Video(config.video)
     live = source.live if config.live is None else config.live
     frames = source.info
-    network = open_detector(config, frames.width, frames.height, live=live, say=say)
+    size = (frames.width, frames.height)
+    samples = partial(sample_frames, source, N_SAMPLES)
+    network = open_detector(config, size, samples, live=live, say=say)
     return _Opened(
         source=source,
         live=live,
@@ -133,7 +141,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     return {
         "backend": opened.network.detector.engine.name,
         "network_size": [opened.network.cfg.width, opened.network.cfg.height],
-        "scale": opened.network.scale,
+        **opened.network.scale_settings,
         "live": opened.live,
         "score": config.score,
         "max_iou": config.max_iou,

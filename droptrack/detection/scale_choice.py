@@ -1,0 +1,233 @@
+"""The scale that suits a video, chosen from some of its frames.
+
+A network finds droplets of some 10 to 200 px of its input, and says nothing, or something else at
+each scale, of others. So a droplet is what the network sees again at other scales: its evidence is
+the mean of its scores at all scales that show it in a size the network knows. The best scale is the
+one whose detections have the most evidence.
+
+Frames are looked at in tiles, so that one compiled network serves all scales, and of a large input
+only some tiles are, so that the choice takes about as long for all videos.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from droptrack.data.arrays import Bools, Floats, Rows
+from droptrack.data.detections import iou_matrix
+from droptrack.data.frames import Frame, grey_frame, grey_plane
+from droptrack.data.stage_times import StageTimes
+from droptrack.detection.detector import Detector
+
+TILE = 480  # px, the sides of the input
+STEP = math.sqrt(2)  # from one scale to the next
+STEPS = range(-7, 6)  # tried, from the default scale on
+MIN_SIDE_PX = 96  # of an input
+MAX_AREA_PX = 9e6  # of an input
+MAX_TILES = 6  # looked at in a frame, at each scale
+KNOWN_PX = (12.0, 200.0)  # sizes of droplets in the input
+MIN_SCORE = 0.1  # of a detection that counts at all
+SURE = 0.4  # of one that a user would get
+SAME_IOU = 0.5  # of two boxes of one droplet
+DOUBT = 0.35  # evidence below which a detection does harm
+CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
+MIN_INSIDE = 0.8  # share of a box's area
+MIN_SHOWN = 3  # scales that full evidence takes
+TOLERANCE = 0.02  # by which a scale may be worse than the best, and be taken since it is cheaper
+
+
+@dataclass(frozen=True)
+class ScaleChoice:
+    """A scale, and how much of the evidence its detections have: `quality` at each scale tried.
+
+    `diameters` (N,) px of the frames: sqrt(w h) of the droplets seen at several scales.
+    """
+
+    scale: float
+    quality: dict[float, float] = field(default_factory=dict)
+    diameters: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Look:
+    """What one scale shows of a frame: boxes (N, 4) px of the frame, their scores (N,), and the
+    tiles (T, 4) [left, top, right, bottom] px that were looked at.
+    """  # noqa: D205
+
+    boxes: Floats
+    scores: Floats
+    tiles: Floats
+
+    def covers(self, boxes: Floats, size: tuple[int, int], margin: float) -> Bools:
+        """Which boxes (N,) lie whole in a tile, or end with it at the frame's edge."""
+        low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+        first = np.where(self.tiles[:, :2] > 0, self.tiles[:, :2] + margin, -np.inf)
+        last = np.where(self.tiles[:, 2:] < size, self.tiles[:, 2:] - margin, np.inf)
+        inside = (low[:, None] >= first) & (high[:, None] <= last)
+        return np.asarray(np.any(np.all(inside, axis=2), axis=1), bool)
+
+
+def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) -> ScaleChoice:
+    """The best scale for frames (H, W, 3) of one size; the default where nothing is seen.
+
+    `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. The
+    default is also taken where it is as good as the best, within TOLERANCE.
+    """
+    gained: dict[float, float] = {}
+    possible: dict[float, float] = {}
+    diameters = [np.zeros(0)]
+    for frame in frames:
+        height, width = frame.shape[:2]
+        looks = _look(frame, detector, default)
+        droplets, scores = _merged(looks, (width, height))
+        evidence = _evidence(droplets, scores, looks, (width, height))
+        real = evidence > DOUBT
+        diameters.append(np.sqrt(droplets[real, 2:].prod(axis=1)))
+        for k, (scale, look) in enumerate(looks.items()):
+            counted = look.covers(droplets, (width, height), 2 / scale)
+            worth = evidence - DOUBT
+            seen = counted & (scores[k] >= SURE)
+            gained[scale] = gained.get(scale, 0.0) + float(worth[seen].sum())
+            possible[scale] = possible.get(scale, 0.0) + float(worth[counted & real].sum())
+    quality = {s: gained[s] / possible[s] if possible[s] > 0 else 0.0 for s in gained}
+    best = max(quality.values(), default=0.0)
+    if best <= 0:
+        return ScaleChoice(default, quality)
+    scale = min(
+        (s for s in quality if quality[s] >= best - TOLERANCE),
+        key=lambda s: (abs(math.log(s / default)) > 1e-6, s),
+    )
+    return ScaleChoice(scale, quality, np.concatenate(diameters))
+
+
+def scales_for(width: int, height: int, default: float) -> list[float]:
+    """The scales that are tried for frames of a size, the default one among them.
+
+    >>> [round(scale, 2) for scale in scales_for(1200, 600, 0.8)]
+    [0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2]
+    """
+    scales = (default * STEP**k for k in STEPS)
+    return [
+        scale
+        for scale in scales
+        if scale * min(width, height) >= MIN_SIDE_PX and scale**2 * width * height <= MAX_AREA_PX
+    ]
+
+
+def _look(frame: Frame, detector: Detector, default: float) -> dict[float, _Look]:
+    """What each scale shows of a frame, from the coarsest on."""
+    height, width = frame.shape[:2]
+    plane = grey_plane(frame)
+    image = np.asarray(frame if plane is None else plane)
+    looks: dict[float, _Look] = {}
+    found = np.zeros((0, 2))  # centres of what coarser scales showed
+    for scale in scales_for(width, height, default):
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        resized = np.asarray(cv2.resize(image, size), np.uint8)
+        tiles = _tiles(size, found * scale)
+        running = [detector.start([_cut(resized, tile)], StageTimes()) for tile in tiles]
+        parts = [wait()[0] for wait in running]
+        boxes = [
+            np.column_stack([part.boxes[:, :2] + tile[:2], part.boxes[:, 2:]])
+            for part, tile in zip(parts, tiles, strict=True)
+        ]
+        looks[scale] = _Look(
+            boxes=np.concatenate(boxes) / scale,
+            scores=np.concatenate([part.scores for part in parts]),
+            tiles=np.minimum(tiles / scale, [width, height, width, height]),
+        )
+        found = np.concatenate([found, looks[scale].boxes[looks[scale].scores >= SURE, :2]])
+    return looks
+
+
+def _tiles(size: tuple[int, int], places: Floats) -> Floats:
+    """At most MAX_TILES tiles (T, 4) px of an input of a size: where most of the places are.
+
+    Where there are none, those in the middle.
+    """
+    columns, rows = (max(1, math.ceil(side / TILE)) for side in size)
+    starts = [
+        np.linspace(0, max(0, side - TILE), n)
+        for side, n in zip(size, (columns, rows), strict=True)
+    ]
+    corners = np.round(np.array([[x, y] for y in starts[1] for x in starts[0]]))
+    if len(corners) > MAX_TILES:
+        within = (places[:, None] >= corners) & (places[:, None] < corners + TILE)
+        away = np.hypot(*(corners + TILE / 2 - np.array(size) / 2).T)
+        order = np.lexsort([away, -within.all(axis=2).sum(axis=0)])
+        corners = corners[order[:MAX_TILES]]
+    return np.hstack([corners, corners + TILE])
+
+
+def _cut(image: Frame, tile: Floats) -> Frame:
+    """A tile of an image (H, W) or (H, W, 3), extended by its edge where it is smaller."""
+    left, top, right, bottom = tile.astype(int).tolist()
+    part = image[top:bottom, left:right]
+    below, beside = TILE - part.shape[0], TILE - part.shape[1]
+    whole = np.asarray(
+        cv2.copyMakeBorder(part, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8
+    )
+    return grey_frame(whole) if whole.ndim == 2 else whole
+
+
+def _merged(looks: dict[float, _Look], size: tuple[int, int]) -> tuple[Floats, Floats]:
+    """What may be droplets, seen at one or more scales: boxes (N, 4), scores (scales, N) or 0."""
+    boxes, scores = np.zeros((0, 4)), np.zeros((len(looks), 0))
+    for k, (scale, look) in enumerate(looks.items()):
+        whole = look.covers(look.boxes, size, 2 / scale)
+        mine, certain = look.boxes[whole], look.scores[whole]
+        old, new = _pairs(boxes, mine)
+        scores[k, old] = certain[new]
+        better = certain[new] >= scores[:, old].max(axis=0, initial=0)
+        boxes[old[better]] = mine[new[better]]
+        alone = np.setdiff1d(np.arange(len(mine)), new)
+        added = np.zeros((len(looks), len(alone)))
+        added[k] = certain[alone]
+        boxes = np.concatenate([boxes, mine[alone]])
+        scores = np.hstack([scores, added])
+    return boxes, scores
+
+
+def _pairs(these: Floats, those: Floats) -> tuple[Rows, Rows]:
+    """Which boxes are each other's best, and of one droplet."""
+    if not len(these) or not len(those):
+        return np.zeros(0, int), np.zeros(0, int)
+    iou = iou_matrix(these, those)
+    best = iou.argmax(axis=1)
+    mine = np.arange(len(these))
+    mutual = (iou.argmax(axis=0)[best] == mine) & (iou[mine, best] >= SAME_IOU)
+    return np.flatnonzero(mutual), best[mutual]
+
+
+def _evidence(
+    boxes: Floats, scores: Floats, looks: dict[float, _Look], size: tuple[int, int]
+) -> Floats:
+    """The mean score (N,) over the scales that show a droplet whole, in a size that is known."""
+    sides = np.sqrt(boxes[:, 2:].prod(axis=1))
+    shown = np.stack(
+        [
+            (sides * scale >= KNOWN_PX[0])
+            & (sides * scale <= KNOWN_PX[1])
+            & look.covers(boxes, size, 2 / scale)
+            for scale, look in looks.items()
+        ]
+    )
+    mean = (scores * shown).sum(axis=0) / np.maximum(shown.sum(axis=0), MIN_SHOWN)
+    return np.asarray(np.where(_inside_others(boxes, mean), 0.0, mean))
+
+
+def _inside_others(boxes: Floats, evidence: Floats) -> Bools:
+    """Which boxes (N,) lie in one at least twice as large that is a droplet: cells, reflections."""
+    inside = np.zeros(len(boxes), bool)
+    corners = np.hstack([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2])
+    area = boxes[:, 2:].prod(axis=1)
+    for outer in np.flatnonzero(evidence > CERTAIN):
+        shared = np.minimum(corners[:, 2:], corners[outer, 2:]) - np.maximum(
+            corners[:, :2], corners[outer, :2]
+        )
+        within = np.maximum(shared, 0).prod(axis=1) > MIN_INSIDE * area
+        inside |= within & (4 * area < area[outer])
+    return inside

@@ -4,6 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
+from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, TrackingConfig
@@ -29,6 +30,10 @@ def track(
     dark: bool = False,
     max_frames: int = 0,
     annotated_video: bool = True,
+    levels: tuple[float, float] | None = None,
+    channel: int | None = None,
+    renumber: bool = False,
+    overwrite: bool = False,
     tracker: str | TrackerConfig = TrackerName.droplet,
     progress: bool = True,
 ) -> TrackingRun:
@@ -64,6 +69,8 @@ def track(
             dark=dark,
             max_frames=max_frames,
             annotated_video=annotated_video,
+            reading=ReadOptions(levels=levels, channel=channel, renumber=renumber),
+            overwrite=overwrite,
             tracker=tracker,
         ),
         progress=progress,

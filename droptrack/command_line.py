@@ -2,7 +2,7 @@
 
 import functools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from types import ModuleType
 from typing import ParamSpec, TypeVar
 
@@ -32,6 +32,23 @@ def one_line_errors(command: Callable[P, R]) -> Callable[P, R]:
         raise typer.Exit(1)
 
     return wrapped
+
+
+def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None:
+    """Raise DroptrackError where an option was given that would change nothing.
+
+    `names`: the command's parameters; `why`: what ends the sentence.
+    """
+    options = {parameter.name: parameter for parameter in context.command.params}
+    for name in names:
+        if was_given(context, name):
+            raise DroptrackError(f"{options[name].opts[0]} {why}")
+
+
+def was_given(context: typer.Context, name: str) -> bool:
+    """Whether an option stands on the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name in ("COMMANDLINE", "ENVIRONMENT")
 
 
 def new_app() -> typer.Typer:

@@ -9,12 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.detections import Detections
-from droptrack.data.files import read_text, write_text
+from droptrack.data.files import read_text, reading, write_text
+from droptrack.data.frames import as_frame
+from droptrack.data.sources.image_sequences import read_image_file
 from droptrack.errors import DroptrackError
 
 
@@ -54,11 +55,13 @@ def read_data_file(path: Path) -> DataSet:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """One image as (H, W, 3) uint8 BGR; raises DroptrackError if it cannot be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if not path.exists():
+        raise DroptrackError(f"{path}: no such image")
+    with reading(path, "an image"):
+        image = read_image_file(path)
     if image is None:
-        reason = "cannot be decoded as an image" if path.exists() else "no such image"
-        raise DroptrackError(f"{path}: {reason}")
-    return np.asarray(image, np.uint8)
+        raise DroptrackError(f"{path}: cannot be decoded as an image")
+    return np.ascontiguousarray(as_frame(image))
 
 
 def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

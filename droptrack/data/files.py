@@ -49,6 +49,9 @@ def reading(path: Path, kind: str = "text") -> Iterator[None]:
 
 
 def read_text(path: Path) -> str:
-    """Read a text file; raises DroptrackError naming it where that is not possible."""
+    """Read a text file, without the mark that some editors put before UTF-8.
+
+    Raises DroptrackError naming it where that is not possible.
+    """
     with reading(path):
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")

@@ -44,6 +44,7 @@ class FrameTracker:
             centres, measured = centres_of_mass(frame, detections.boxes)
             final = session.add(index, detections, centres, measured, descriptors)
         results.n_frames += 1
+        results.last_frame = index
         results.n_detections += len(detections)
         results.n_measured += int(measured.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)

@@ -7,7 +7,9 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
+from droptrack.data.levels import EIGHT_BITS
 from droptrack.data.report import Report, Value
+from droptrack.data.sources.opencv_names import printable
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.data.video import Video, VideoWriter
@@ -18,6 +20,7 @@ from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.progress import progress_bar
 from droptrack.tracking.appearance import DescriptorExtractor
@@ -68,23 +71,24 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     """
     opened = _open(config, say)
     folder = _make_folder(config)
+    for note in opened.source.notes:
+        say(printable(note))
     about = _about(config, opened)
     info, network = opened.source.info, opened.network.cfg
     say(
-        f"{config.video}: {network.path.stem}, {network.width} x {network.height} px, on "
-        f"{opened.network.detector.engine.name}"
+        f"{printable(config.video)}: {network.path.stem}, {network.width} x {network.height} px, "
+        f"on {opened.network.detector.engine.name}"
     )
     began = time.perf_counter()
     results, problem = _track(config, opened, folder, about, progress=progress)
-    total = opened.n_frames(config.max_frames)
-    n_missing = 0 if opened.live or problem else max(0, total - results.n_frames)
+    n_missing = 0 if opened.live else _n_missing(config, opened.source, results, problem)
     settings = {**about, **_settings(config, opened)}
     report = summarise(results, settings, n_missing, time.perf_counter() - began)
     write_report(folder, report, results.paths, (info.width, info.height))
     if problem is not None:
         problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
     else:
-        _say_what_is_odd(config, results, n_missing, total, say)
+        _say_what_is_odd(config, opened.source, results, n_missing, say)
     return TrackingRun(folder, report, problem)
 
 
@@ -92,7 +96,7 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
     """Everything that can refuse to work, before anything is written."""
     tracker, tracker_settings = make_tracker(config.tracker)
     describe = choose_descriptor(config.tracker)
-    source = Video(config.video)
+    source = Video(config.video, config.reading)
     live = source.live if config.live is None else config.live
     frames = source.info
     network = open_detector(config, frames.width, frames.height, live=live, say=say)
@@ -112,16 +116,23 @@ def _make_folder(config: TrackingConfig) -> Path:
         raise DroptrackError(
             f"{config.video}: would be overwritten by the results; choose another --out"
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    prepare_folder(folder, config.video, overwrite=config.overwrite)
     return folder
 
 
 def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     """What made the results, for the first lines of their table."""
-    info = opened.source.info
+    source, info = opened.source, opened.source.info
+    further: dict[str, Value] = {}
+    if source.pixel_size_um:
+        further["pixel size"] = f"{source.pixel_size_um:g} um"
+    if source.levels is not EIGHT_BITS:
+        further["grey levels"] = str(source.levels)
     return {
         "made by": f"droptrack {__version__}, droptrack.track",
-        "video": f"{config.video}, {info.width} x {info.height} px, {info.fps:g} frames/s",
+        "video": f"{whole_name(config.video)}, {info.width} x {info.height} px, "
+        f"{info.fps:g} frames/s",
+        **further,
         "network": f"{opened.network.cfg.path}, {opened.network.weights}",
         "weights sha256": sha256_of(opened.network.weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
@@ -135,6 +146,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "network_size": [opened.network.cfg.width, opened.network.cfg.height],
         "scale": opened.network.scale,
         "live": opened.live,
+        "grey_levels": str(opened.source.levels),
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,
@@ -192,20 +204,32 @@ def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:
             bar.update(task, completed=n, note=f"{rate:.1f} frames/s")
 
 
+def _n_missing(
+    config: TrackingConfig, source: Video, results: Results, problem: DroptrackError | None
+) -> int:
+    """Frames that could not be decoded, or are missing in a numbered sequence."""
+    stopped = problem is not None or results.n_frames == config.max_frames > 0
+    ends_known = source.counted and not stopped
+    n_all = max(results.last_frame + 1, source.info.n_frames if ends_known else 0)
+    return n_all - results.n_frames
+
+
 def _say_what_is_odd(
-    config: TrackingConfig, results: Results, n_missing: int, total: int, say: Say
+    config: TrackingConfig, source: Video, results: Results, n_missing: int, say: Say
 ) -> None:
     """Tell what a user might not expect of the results."""
-    if n_missing:
+    name = printable(config.video)
+    if n_missing > source.n_absent:
+        claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
         say(
-            f"{config.video}: {n_missing} of the {total} frames it claims could not be decoded: it "
-            "is damaged, or ends early"
+            f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
+            f"{', or ends early' if source.counted else ''}"
         )
     if results.n_frames and not results.n_detections:
         shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")
         say(
-            f"{config.video}: no droplets found; if they are {shade} than what is around them, "
-            f"{cure} --dark"
+            f"{name}: no droplets found; if they are {shade} than what is around them, {cure} "
+            "--dark"
         )
     if results.n_dropped:
-        say(f"{config.video}: {results.n_dropped} frames dropped, newer ones were there")
+        say(f"{name}: {results.n_dropped} frames dropped, newer ones were there")

@@ -18,6 +18,8 @@ from droptrack.data.frames import as_frame
 from droptrack.data.sources.image_sequences import read_image_file
 from droptrack.errors import DroptrackError
 
+MAX_CLASS = 10_000
+
 
 @dataclass(frozen=True)
 class DataSet:
@@ -78,8 +80,15 @@ def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
             row = []
         if len(row) != 5:
             raise DroptrackError(f"{path}:{number}: each line should be: class x y width height")
+        if not (0 <= row[0] <= MAX_CLASS and row[0] == int(row[0])):
+            raise DroptrackError(f"{path}:{number}: has class {row[0]:g}; classes are 0, 1, 2, ...")
         if not all(0 <= value <= 1 for value in row[1:]):
             raise DroptrackError(f"{path}:{number}: coordinates should lie between 0 and 1")
+        if not (row[3] > 0 and row[4] > 0):
+            raise DroptrackError(
+                f"{path}:{number}: a box needs a centre, a width and a height above 0; delete the "
+                "line"
+            )
         rows.append(row)
     table = np.array(rows).reshape(-1, 5)
     return table[:, 0].astype(np.int64), table[:, 1:]

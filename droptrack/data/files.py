@@ -22,6 +22,9 @@ def replacing(path: Path) -> Iterator[Path]:
     ...     [file.name for file in Path(folder).iterdir()]
     ['table.csv']
     """
+    if path.exists() and not path.is_file():  # such as /dev/stdout
+        yield path
+        return
     partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     try:
         yield partial

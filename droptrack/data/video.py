@@ -25,6 +25,8 @@ __all__ = ["IMAGE_SUFFIXES", "ReadOptions", "Video", "VideoInfo", "VideoWriter",
 
 DEFAULT_FPS = 25.0  # of sources that do not say
 MAX_FPS = 1e8
+MAX_MPEG4_PX = 8190
+MIN_MPEG4_RATE, MAX_MPEG4_RATE = 0.001, 65535
 STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
 
@@ -150,6 +152,28 @@ def _without_alpha(image: Image) -> Image:
     return image[..., :-1] if image.ndim == 3 and image.shape[2] in (2, 4) else image
 
 
+def mpeg4_info(info: VideoInfo) -> tuple[VideoInfo, int]:
+    """The nearest video that MPEG-4 (part 2) can hold, and by how much it is smaller.
+
+    Rates are whole numbers of 16 bits over a power of ten, as OpenCV writes them; sides have up to
+    MAX_MPEG4_PX.
+
+    >>> mpeg4_info(VideoInfo(10_000, 500, 20_000 / 3, 0))
+    (VideoInfo(width=5000, height=250, fps=6667.0, n_frames=0), 2)
+    """
+    smaller = -(-max(info.width, info.height) // MAX_MPEG4_PX)
+    rates = (round(info.fps * scale) / scale for scale in (1000, 100, 10, 1))
+    held = (rate for rate in rates if rate <= MAX_MPEG4_RATE / _scale_of(rate))
+    fps = max(next(held, float(MAX_MPEG4_RATE)), MIN_MPEG4_RATE)
+    size = (max(2, info.width // smaller), max(2, info.height // smaller))
+    return VideoInfo(*size, fps, info.n_frames), smaller
+
+
+def _scale_of(rate: float) -> int:
+    """The power of ten that makes a rate with up to three decimals a whole number."""
+    return next(scale for scale in (1, 10, 100, 1000) if abs(rate * scale % 1 - 0.5) > 0.4999)
+
+
 class VideoWriter:
     """Writes frames to a video file; raises DroptrackError when that is not possible.
 
@@ -163,10 +187,10 @@ class VideoWriter:
             raise ValueError(f"MJPG videos have whole frames a second, not {info.fps}")
         parameters = [cv2.VIDEOWRITER_PROP_QUALITY, quality] if fourcc == "MJPG" else []
         backend = cv2.CAP_OPENCV_MJPEG if fourcc == "MJPG" else cv2.CAP_FFMPEG
-        self._size = (info.width, info.height)
+        self.size = (info.width, info.height)
         code = cv2.VideoWriter.fourcc(*fourcc)
         with opencv_name(path) as name:
-            self._writer = cv2.VideoWriter(name, backend, code, info.fps, self._size, parameters)
+            self._writer = cv2.VideoWriter(name, backend, code, info.fps, self.size, parameters)
         self._n_written = 0
         if not self._writer.isOpened():
             raise DroptrackError(
@@ -175,8 +199,8 @@ class VideoWriter:
 
     def write(self, frame: Frame) -> None:
         """Append a frame of the size given at the start."""
-        if (frame.shape[1], frame.shape[0]) != self._size:
-            raise ValueError(f"a frame of {frame.shape} in a video of {self._size}")
+        if (frame.shape[1], frame.shape[0]) != self.size:
+            raise ValueError(f"a frame of {frame.shape} in a video of {self.size}")
         self._writer.write(frame)
         self._n_written += 1
 

@@ -12,6 +12,7 @@ from time import perf_counter
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector
+from droptrack.interrupts import whole
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
@@ -86,7 +87,8 @@ def track_frames(
             running.clear()  # nothing goes on from here
             raise
         for item, detections in zip(items, found, strict=True):
-            frame_tracker.add(item, detections)
+            with whole():
+                frame_tracker.add(item, detections)
         return results.n_frames
 
     try:
@@ -108,4 +110,5 @@ def track_frames(
             finish_oldest()
         raise
     finally:
-        frame_tracker.finish()
+        with whole():
+            frame_tracker.finish()

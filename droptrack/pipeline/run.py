@@ -12,8 +12,9 @@ from droptrack.data.report import Report, Value
 from droptrack.data.sources.opencv_names import printable
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
-from droptrack.data.video import Video, VideoWriter
+from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
 from droptrack.errors import DroptrackError
+from droptrack.interrupts import whole
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.loop import track_frames
@@ -27,6 +28,8 @@ from droptrack.tracking.appearance import DescriptorExtractor
 from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
+
+MAX_RATE_ERROR = 0.001  # frames a second, of the annotated video, that need not be said
 
 
 @dataclass(frozen=True)
@@ -80,11 +83,12 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
         f"on {opened.network.detector.engine.name}"
     )
     began = time.perf_counter()
-    results, problem = _track(config, opened, folder, about, progress=progress)
+    results, problem = _track(config, opened, folder, about, say, progress=progress)
     n_missing = 0 if opened.live else _n_missing(config, opened.source, results, problem)
     settings = {**about, **_settings(config, opened)}
     report = summarise(results, settings, n_missing, time.perf_counter() - began)
-    write_report(folder, report, results.paths, (info.width, info.height))
+    with whole():
+        write_report(folder, report, results.paths, (info.width, info.height))
     if problem is not None:
         problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
     else:
@@ -159,6 +163,7 @@ def _track(
     opened: _Opened,
     folder: Path,
     about: Mapping[str, Value],
+    say: Say,
     *,
     progress: bool,
 ) -> tuple[Results, DroptrackError | None]:
@@ -168,8 +173,10 @@ def _track(
     with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
         video: AnnotatedVideo | None = None
         if config.annotated_video:
-            writer = VideoWriter(folder / "tracked.mp4", opened.source.info, "mp4v")
-            video = AnnotatedVideo(writer, times)
+            try:
+                video = AnnotatedVideo(_annotated_video(folder, opened.source.info, say), times)
+            except DroptrackError as error:  # the analysis does not depend on it
+                problem = error
         results = Results(rows, video, times)
         done = track_frames(
             islice(opened.source.numbered(), config.max_frames or None),
@@ -185,13 +192,24 @@ def _track(
         except KeyboardInterrupt:
             problem = DroptrackError(f"interrupted after {results.n_frames} frames")
         except DroptrackError as error:
-            problem = error
+            problem = problem or error
         try:
             if video is not None:
                 video.close()
         except DroptrackError as error:
             problem = problem or error
     return results, problem
+
+
+def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
+    """A video for annotated frames, smaller or with another rate where MPEG-4 wants it."""
+    held, smaller = mpeg4_info(info)
+    path = folder / "tracked.mp4"
+    if smaller > 1:
+        say(f"{path}: is {held.width} x {held.height} px, as MPEG-4 has no larger images")
+    if abs(held.fps - info.fps) > MAX_RATE_ERROR:
+        say(f"{path}: plays {held.fps:g} frames/s, as MPEG-4 cannot hold {info.fps:g}")
+    return VideoWriter(path, held, "mp4v")
 
 
 def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:

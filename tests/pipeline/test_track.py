@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from data_gen.scenes.scene_kinds import SCENES
@@ -378,3 +379,29 @@ def test_score_and_number_of_frames_are_applied_to_detections(tmp_path: Path) ->
         assert runner.invoke(app, arguments).exit_code == 0
         rows, _ = read_trajectories(tmp_path / out / "trajectories.csv")
         assert (rows.frame.max() + 1, len(np.unique(rows.track_id))) == expected
+
+
+def test_the_analysis_does_not_depend_on_the_annotated_video(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame 10,000 px wide, at 20000/3 frames a second."""
+    frames = np.zeros((2, 100, 10_000), np.uint8)
+    tifffile.imwrite(
+        tmp_path / "wide.tif", frames, imagej=True, metadata={"axes": "TYX", "fps": 20_000 / 3}
+    )
+    options = ("--size", "960x32", "--backend", "opencv")
+    output = track(tmp_path / "wide.tif", tmp_path / "out", *options)
+    assert "is 5000 x 50 px" in output
+    assert "plays 6667 frames/s" in output
+    assert "10000 x 100 px, 6666.67 frames/s" in (tmp_path / "out" / "trajectories.csv").read_text(
+        encoding="utf-8"
+    )
+    assert len(list(Video(str(tmp_path / "out" / "tracked.mp4")))) == 2
+
+    def fail(*_: object) -> None:
+        raise DroptrackError("tracked.mp4: cannot be written")
+
+    monkeypatch.setattr("droptrack.pipeline.run.VideoWriter", fail)
+    said = fails("track", str(tmp_path / "wide.tif"), "--out", str(tmp_path / "no"), *options)
+    assert "cannot be written" in said
+    assert json.loads((tmp_path / "no" / "report.json").read_text())["summary"]["n_frames"] == 2

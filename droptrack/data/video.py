@@ -15,7 +15,14 @@ from droptrack.data.frames import Frame, as_frame
 from droptrack.data.levels import EIGHT_BITS, Levels, given_levels, levels_in, levels_of_bits
 from droptrack.data.sources.image_files import IMAGE_SUFFIXES, TIFF_SUFFIXES, image_files
 from droptrack.data.sources.image_sequences import open_image, open_sequence
+from droptrack.data.sources.microscopy import (
+    MICROSCOPY_SUFFIXES,
+    open_microscopy,
+    refuse_known,
+)
 from droptrack.data.sources.opencv_names import opencv_name
+from droptrack.data.sources.phantom import open_cine
+from droptrack.data.sources.photron import open_mraw
 from droptrack.data.sources.source import N_SAMPLES, Image, ReadOptions, Source, refuse_channel
 from droptrack.data.sources.tiff_stacks import open_stacks
 from droptrack.data.sources.video_files import open_capture, open_video, read_capture
@@ -25,8 +32,8 @@ __all__ = ["IMAGE_SUFFIXES", "ReadOptions", "Video", "VideoInfo", "VideoWriter",
 
 DEFAULT_FPS = 25.0  # of sources that do not say
 MAX_FPS = 1e8
-MAX_MPEG4_PX = 8190
-MIN_MPEG4_RATE, MAX_MPEG4_RATE = 0.001, 65535
+MIN_MPEG4_PX, MAX_MPEG4_PX = 2, 8190
+MIN_MPEG4_RATE, MAX_MPEG4_RATE = 0.01, 65535
 STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
 
@@ -130,7 +137,17 @@ def _open(source: str, options: ReadOptions) -> tuple[Source, bool]:
             return open_stacks([path], options), False
         if suffix in IMAGE_SUFFIXES:
             return open_image(path, options), False
-        return open_video(path, options), False
+        if suffix == ".cine":
+            return open_cine(path, options), False
+        if suffix in (".mraw", ".cih", ".cihx"):
+            return open_mraw(path, options), False
+        if suffix in MICROSCOPY_SUFFIXES:
+            return open_microscopy(path, options), False
+        try:
+            return open_video(path, options), False
+        except DroptrackError:
+            refuse_known(path)
+            raise
     is_camera = source.isascii() and source.isdecimal()
     if not is_camera and "://" not in source:
         if any(sign in path.name for sign in "*?[") and path.parent.is_dir():
@@ -165,8 +182,14 @@ def mpeg4_info(info: VideoInfo) -> tuple[VideoInfo, int]:
     rates = (round(info.fps * scale) / scale for scale in (1000, 100, 10, 1))
     held = (rate for rate in rates if rate <= MAX_MPEG4_RATE / _scale_of(rate))
     fps = max(next(held, float(MAX_MPEG4_RATE)), MIN_MPEG4_RATE)
-    size = (max(2, info.width // smaller), max(2, info.height // smaller))
+    size = (info.width, info.height)
+    if smaller > 1 or min(size) < MIN_MPEG4_PX:
+        size = (_even(info.width // smaller), _even(info.height // smaller))
     return VideoInfo(*size, fps, info.n_frames), smaller
+
+
+def _even(side: int) -> int:
+    return max(MIN_MPEG4_PX, side // 2 * 2)
 
 
 def _scale_of(rate: float) -> int:

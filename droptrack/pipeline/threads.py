@@ -160,7 +160,8 @@ class AnnotatedVideo:
                 with self._times.measure("write"):
                     image = annotator.draw(*item)
                     if image.shape[1::-1] != self._writer.size:
-                        image = cv2.resize(image, self._writer.size, interpolation=cv2.INTER_AREA)
-                    self._writer.write(np.asarray(image, np.uint8))
+                        shrunk = cv2.resize(image, self._writer.size, interpolation=cv2.INTER_AREA)
+                        image = np.asarray(shrunk, np.uint8)
+                    self._writer.write(image)
             except Exception as problem:  # noqa: BLE001  raised by `close`
                 self._problem = problem

@@ -236,14 +236,15 @@ def test_a_video_that_the_disk_has_no_room_for_is_said_to_be_cut(
             (29.97, 29.97),
         ),
         *((30_000 / 1001, 29.97), (1e5, 65_535), (1e6, 65_535), (0.5, 0.5), (1 / 60, 0.017)),
-        *((1e-5, 0.001), (65.536, 65.54)),
+        *((1e-5, 0.01), (65.536, 65.54)),
     ],
 )
 def test_any_rate_gives_a_video_with_the_nearest_one(
     tmp_path: Path, fps: float, held: float
 ) -> None:
     info, smaller = mpeg4_info(VideoInfo(64, 48, fps, 0))
-    assert (info.fps, smaller) == (pytest.approx(held), 1)
+    assert info.fps == pytest.approx(held)
+    assert smaller == 1
     with VideoWriter(tmp_path / "v.mp4", info, "mp4v") as video:
         for _ in range(3):
             video.write(np.zeros((48, 64, 3), np.uint8))
@@ -256,7 +257,7 @@ def test_any_rate_gives_a_video_with_the_nearest_one(
 def test_images_too_large_for_mpeg4_are_shrunk(tmp_path: Path, size: tuple[int, int]) -> None:
     info, smaller = mpeg4_info(VideoInfo(*size, 25, 0))
     assert max(info.width, info.height) <= 8190
-    assert info.width == max(2, size[0] // smaller)
+    assert info.width == max(2, size[0] // smaller // 2 * 2)
     with VideoWriter(tmp_path / "v.mp4", info, "mp4v") as video:
         video.write(np.zeros((info.height, info.width, 3), np.uint8))
     assert Video(str(tmp_path / "v.mp4")).info.width == info.width

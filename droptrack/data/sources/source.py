@@ -1,7 +1,7 @@
 """What a reader of a video gives: images as they are stored, and what the file says of them."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -39,8 +39,8 @@ class Source:
     say. `fps` and `pixel_size_um`: 0 where it does not say. `notes`: what a user might not expect.
     """
 
-    images: Iterator[tuple[int, Image]]
     n_frames: int
+    images: Iterator[tuple[int, Image]] = field(default_factory=lambda: iter(()))
     counted: bool = True
     n_absent: int = 0
     samples: list[Image] | None = None
@@ -57,6 +57,15 @@ def spread(n: int) -> list[int]:
     ([0, 1, 2], [0, 11, 22, 33, 44, 56, 67, 78, 89, 100])
     """
     return np.unique(np.linspace(0, n - 1, N_SAMPLES).round().astype(int)).tolist() if n else []
+
+
+def random_access(read: Callable[[int], Image | None], source: Source) -> Source:
+    """A source whose images can be had by their number; None are those that cannot be decoded."""
+    n = source.n_frames
+    found = ((number, read(number)) for number in range(n))
+    images = ((number, image) for number, image in found if image is not None)
+    samples = [image for number in spread(n) if (image := read(number)) is not None]
+    return replace(source, images=images, samples=samples)
 
 
 def refuse_channel(name: str, options: ReadOptions) -> None:

@@ -34,6 +34,7 @@ def track(
     channel: int | None = None,
     renumber: bool = False,
     overwrite: bool = False,
+    resume: bool = False,
     tracker: str | TrackerConfig = TrackerName.droplet,
     progress: bool = True,
 ) -> TrackingRun:
@@ -71,6 +72,7 @@ def track(
             annotated_video=annotated_video,
             reading=ReadOptions(levels=levels, channel=channel, renumber=renumber),
             overwrite=overwrite,
+            resume=resume,
             tracker=tracker,
         ),
         progress=progress,

@@ -53,6 +53,13 @@ RenumberOption = Annotated[
     bool,
     typer.Option("--renumber", help="Count the images of a numbered sequence with holes 0, 1, 2."),
 ]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Go on with a run of the same that was ended too early.")
+]
+ReconnectOption = Annotated[
+    float,
+    typer.Option(min=0, metavar="SECONDS", help="Wait so long for a stream that is away; 0: end."),
+]
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results of an earlier run of the same.")
 ]

@@ -21,7 +21,9 @@ from droptrack.options import (
     MaxIouOption,
     OverwriteOption,
     PrecisionOption,
+    ReconnectOption,
     RenumberOption,
+    ResumeOption,
     ScaleOption,
     ScoreOption,
     SizeOption,
@@ -37,7 +39,16 @@ also_call(__name__, track)
 
 OF_VIDEOS = (
     *("weights", "cfg", "no_video", "backend", "precision", "size", "scale", "diameter", "live"),
-    *("max_iou", "dark", "batch", "levels", "channel", "renumber", "appearance_weights"),
+    *(
+        "max_iou",
+        "dark",
+        "batch",
+        "levels",
+        "channel",
+        "renumber",
+        "reconnect",
+        "appearance_weights",
+    ),
     "appearance_size",
 )
 OF_DEEPSORT = ("max_cosine_distance", "nn_budget", "max_iou_distance")
@@ -86,7 +97,9 @@ def main(
     levels: LevelsOption = None,
     channel: ChannelOption = None,
     renumber: RenumberOption = False,
+    reconnect: ReconnectOption = 0,
     overwrite: OverwriteOption = False,
+    resume: ResumeOption = False,
     tracker: Annotated[
         TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
     ] = TrackerName.droplet,
@@ -175,8 +188,11 @@ def main(
             batch=batch,
             max_frames=max_frames,
             annotated_video=not no_video,
-            reading=ReadOptions(levels=levels, channel=channel, renumber=renumber),
+            reading=ReadOptions(
+                levels=levels, channel=channel, renumber=renumber, reconnect_s=reconnect
+            ),
             overwrite=overwrite,
+            resume=resume,
             tracker=tracking,
         )
         done = run(config, say)

@@ -23,9 +23,10 @@ from droptrack.data.sources.microscopy import (
 from droptrack.data.sources.opencv_names import opencv_name
 from droptrack.data.sources.phantom import open_cine
 from droptrack.data.sources.photron import open_mraw
-from droptrack.data.sources.source import N_SAMPLES, Image, ReadOptions, Source, refuse_channel
+from droptrack.data.sources.source import N_SAMPLES, Image, ReadOptions, Source
+from droptrack.data.sources.streams import Outages, open_stream
 from droptrack.data.sources.tiff_stacks import open_stacks
-from droptrack.data.sources.video_files import open_capture, open_video, read_capture
+from droptrack.data.sources.video_files import open_video
 from droptrack.errors import DroptrackError
 
 __all__ = ["IMAGE_SUFFIXES", "ReadOptions", "Video", "VideoInfo", "VideoWriter", "image_files"]
@@ -34,7 +35,6 @@ DEFAULT_FPS = 25.0  # of sources that do not say
 MAX_FPS = 1e8
 MIN_MPEG4_PX, MAX_MPEG4_PX = 2, 8190
 MIN_MPEG4_RATE, MAX_MPEG4_RATE = 0.01, 65535
-STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class Video:
     def __init__(self, source: str, options: ReadOptions | None = None) -> None:
         self.source = source
         options = options or ReadOptions()
-        opened, self.live = _open(source, options)
+        self._outages = Outages()
+        opened, self.live = _open(source, options, self._outages)
         self._images = opened.images
         self._first = next(self._images, None)
         if self._first is None:
@@ -84,6 +85,11 @@ class Video:
         """Every frame, once."""
         for _, frame in self.numbered():
             yield frame
+
+    @property
+    def n_lost(self) -> int:
+        """Frames so far that came while a stream was away, by its rate."""
+        return self._outages.n_frames
 
     def numbered(self) -> Iterator[tuple[int, Frame]]:
         """Every frame that can be decoded, once, with its number.
@@ -126,9 +132,11 @@ class Video:
             )
 
 
-def _open(source: str, options: ReadOptions) -> tuple[Source, bool]:
+def _open(source: str, options: ReadOptions, outages: Outages) -> tuple[Source, bool]:
     """What a name stands for, and whether it is live."""
     path = Path(source)
+    if options.reconnect_s and path.exists():
+        raise DroptrackError(f"{source}: is no live stream; leave out --reconnect")
     if path.is_dir():
         return open_sequence(path, "*", options), False
     if path.exists():
@@ -153,16 +161,7 @@ def _open(source: str, options: ReadOptions) -> tuple[Source, bool]:
         if any(sign in path.name for sign in "*?[") and path.parent.is_dir():
             return open_sequence(path.parent, path.name, options), False
         raise DroptrackError(f"{source}: no such video, image folder or camera")
-    refuse_channel(source, options)
-    capture = open_capture(int(source) if is_camera else source, source)
-    n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-    live = is_camera or source.startswith(STREAMS) or not n_frames
-    return Source(
-        images=read_capture(capture, n_frames),
-        n_frames=n_frames,
-        counted=False,
-        fps=float(capture.get(cv2.CAP_PROP_FPS)),
-    ), live
+    return open_stream(source, options, outages)
 
 
 def _without_alpha(image: Image) -> Image:

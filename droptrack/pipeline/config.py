@@ -43,7 +43,8 @@ class TrackingConfig(DetectorConfig):
     the folder for the results, default ``tracks/<the video's name>``. `live`: always take the
     newest frame and drop others; default for cameras and streams. `batch`: frames that the network
     takes at once. `max_frames`: stop after so many; 0: never. `reading`: how to read what can be
-    read in several ways. `overwrite`: the results of an earlier run of the same video.
+    read in several ways. `overwrite`: the results of an earlier run of the same video. `resume`:
+    one that was ended too early, whatever ended it.
     """
 
     video: str
@@ -54,6 +55,7 @@ class TrackingConfig(DetectorConfig):
     annotated_video: bool = True
     reading: ReadOptions = field(default_factory=ReadOptions)
     overwrite: bool = False
+    resume: bool = False
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
+from droptrack.pipeline.detection_log import NAME as DETECTION_LOG
 
 SOURCES = ("# video: ", "# detections: ")  # lines of a table that say what it was made from
 MAX_ABOUT = 100  # lines before a table
@@ -34,25 +35,32 @@ def whole_name(source: str) -> str:
     return printable(source if is_place else os.path.abspath(source))  # noqa: PTH100
 
 
-def prepare_folder(folder: Path, source: str, *, overwrite: bool) -> None:
+def prepare_folder(folder: Path, source: str, *, overwrite: bool, resume: bool = False) -> None:
     """Make the folder for the results of a source.
 
     Raises DroptrackError where it has results already. Those of the same source may be overwritten
-    where that is wanted; those of another one never.
+    where that is wanted, and those of a run that was ended resumed; those of another one never.
     """
-    if any((folder / name).is_file() for name in RESULTS):
+    resumable = resume and (folder / DETECTION_LOG).exists()  # which says what it is of
+    if not resumable and any(_has_content(folder / name) for name in RESULTS):
         before = _made_from(folder / RESULTS[0])
         if not before.startswith(f"{whole_name(source)}, "):
             of = f" of {before}" if before else ""
             raise DroptrackError(
                 f"{folder}: would be overwritten; it has results{of}; choose another --out"
             )
+        if resume and not overwrite:
+            raise DroptrackError(f"{folder}: its results are complete: nothing is to be resumed")
         if not overwrite:
             raise DroptrackError(
                 f"{folder}: has results of {source} already; --overwrite replaces them, --out puts "
                 "the new ones elsewhere"
             )
     folder.mkdir(parents=True, exist_ok=True)
+
+
+def _has_content(path: Path) -> bool:
+    return path.is_file() and path.stat().st_size > 0
 
 
 def _made_from(table: Path) -> str:

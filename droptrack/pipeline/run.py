@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -15,8 +16,10 @@ from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_tra
 from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
 from droptrack.errors import DroptrackError
 from droptrack.interrupts import whole
+from droptrack.network.darknet_cfg import cfg_text
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
@@ -29,6 +32,7 @@ from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
 
+OF_DETECTIONS = ("backend", "network_size", "scale", "score", "max_iou", "dark", "grey_levels")
 MAX_RATE_ERROR = 0.001  # frames a second, of the annotated video, that need not be said
 
 
@@ -84,7 +88,9 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     )
     began = time.perf_counter()
     results, problem = _track(config, opened, folder, about, say, progress=progress)
-    n_missing = 0 if opened.live else _n_missing(config, opened.source, results, problem)
+    n_missing = opened.source.n_lost
+    if not (opened.live or opened.source.live):
+        n_missing = _n_missing(config, opened.source, results, problem)
     settings = {**about, **_settings(config, opened)}
     report = summarise(results, settings, n_missing, time.perf_counter() - began)
     with whole():
@@ -120,7 +126,7 @@ def _make_folder(config: TrackingConfig) -> Path:
         raise DroptrackError(
             f"{config.video}: would be overwritten by the results; choose another --out"
         )
-    prepare_folder(folder, config.video, overwrite=config.overwrite)
+    prepare_folder(folder, config.video, overwrite=config.overwrite, resume=config.resume)
     return folder
 
 
@@ -170,7 +176,10 @@ def _track(
     """Track frame by frame into the folder's files; also tells what ended it too early."""
     problem: DroptrackError | None = None
     times = StageTimes()
-    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
+    with (
+        _detection_log(config, opened, folder, say) as log,
+        TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows,
+    ):
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             try:
@@ -186,6 +195,7 @@ def _track(
             results,
             batch=config.batch,
             live=opened.live,
+            log=log,
         )
         try:
             _show_progress(done, opened.n_frames(config.max_frames), shown=progress)
@@ -193,12 +203,56 @@ def _track(
             problem = DroptrackError(f"interrupted after {results.n_frames} frames")
         except DroptrackError as error:
             problem = problem or error
+        if problem is None and opened.source.live and not _stopped_as_asked(config, results):
+            problem = DroptrackError(
+                f"{printable(config.video)}: ended after {results.n_frames} frames, though nobody "
+                "asked for it"
+            )
         try:
             if video is not None:
                 video.close()
         except DroptrackError as error:
             problem = problem or error
+        if problem is None and log is not None:
+            log.remove()
     return results, problem
+
+
+@contextmanager
+def _detection_log(
+    config: TrackingConfig, opened: _Opened, folder: Path, say: Say
+) -> Iterator[DetectionLog | None]:
+    """What a later run can resume this one from; None of a live source, which has no past."""
+    if opened.live or opened.source.live:
+        if config.resume:
+            raise DroptrackError(f"{printable(config.video)}: is live: it cannot be resumed")
+        yield None
+        return
+    made = {
+        "video": whole_name(config.video),
+        "bytes": _size(Path(config.video)),
+        "weights sha256": sha256_of(opened.network.weights),
+        "cfg": cfg_text(opened.network.cfg),
+        "batch": config.batch,
+        "max_frames": config.max_frames if config.batch > 1 else 0,  # cuts the last batch
+        "renumber": config.reading.renumber,
+        "channel": config.reading.channel,
+        **{key: value for key, value in _settings(config, opened).items() if key in OF_DETECTIONS},
+    }
+    with DetectionLog(folder, made, resume=config.resume) as log:
+        if log.n_frames:
+            say(f"{printable(config.video)}: resumed after {log.n_frames} frames")
+        yield log
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or the number of entries of a folder."""
+    return len(list(path.iterdir())) if path.is_dir() else path.stat().st_size
+
+
+def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
+    """Whether a run has done as many frames as it was to do."""
+    return results.n_frames == config.max_frames > 0
 
 
 def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
@@ -226,7 +280,7 @@ def _n_missing(
     config: TrackingConfig, source: Video, results: Results, problem: DroptrackError | None
 ) -> int:
     """Frames that could not be decoded, or are missing in a numbered sequence."""
-    stopped = problem is not None or results.n_frames == config.max_frames > 0
+    stopped = problem is not None or _stopped_as_asked(config, results)
     ends_known = source.counted and not stopped
     n_all = max(results.last_frame + 1, source.info.n_frames if ends_known else 0)
     return n_all - results.n_frames
@@ -237,7 +291,9 @@ def _say_what_is_odd(
 ) -> None:
     """Tell what a user might not expect of the results."""
     name = printable(config.video)
-    if n_missing > source.n_absent:
+    if source.n_lost:
+        say(f"{name}: about {source.n_lost} frames lost while the stream was away")
+    elif n_missing > source.n_absent:
         claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
         say(
             f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"

@@ -19,12 +19,13 @@ class ReadOptions:
 
     `levels`: the grey levels of black and white, instead of those in use. `channel`: the one of a
     stack with several, from 0. `renumber`: count the images of a numbered sequence with holes one
-    by one.
+    by one. `reconnect_s`: for how long to wait for a stream that is away.
     """
 
     levels: tuple[float, float] | None = None
     channel: int | None = None
     renumber: bool = False
+    reconnect_s: float = 0
 
 
 @dataclass(frozen=True, kw_only=True)

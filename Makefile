@@ -33,7 +33,7 @@ $(VENV)/.dev: $(VENV)/.installed
 
 demo: setup
 	$(BIN)/python -m data_gen.simulate sine --out tracks/demo --seed $(SEED)
-	$(BIN)/python -m droptrack.track tracks/demo/video.avi --out tracks/demo
+	$(BIN)/python -m droptrack.track tracks/demo/video.avi --out tracks/demo --overwrite
 	$(BIN)/python -m droptrack.evaluate tracks/demo/truth.csv tracks/demo/trajectories.csv \
 		--json tracks/demo/evaluation.json
 	@echo "look at tracks/demo: tracked.mp4 paths.png trajectories.csv report.json"

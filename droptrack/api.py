@@ -4,6 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
+from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.detection.scale import parse_scale
 from droptrack.errors import DroptrackError
@@ -31,6 +32,11 @@ def track(
     region: str | None = None,
     max_frames: int = 0,
     annotated_video: bool = True,
+    levels: tuple[float, float] | None = None,
+    channel: int | None = None,
+    renumber: bool = False,
+    overwrite: bool = False,
+    resume: bool = False,
     tracker: str | TrackerConfig = TrackerName.droplet,
     progress: bool = True,
 ) -> TrackingRun:
@@ -67,6 +73,9 @@ def track(
             region=region,
             max_frames=max_frames,
             annotated_video=annotated_video,
+            reading=ReadOptions(levels=levels, channel=channel, renumber=renumber),
+            overwrite=overwrite,
+            resume=resume,
             tracker=tracker,
         ),
         progress=progress,

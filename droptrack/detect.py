@@ -7,13 +7,16 @@ from typing import Annotated
 import typer
 
 from droptrack.command_line import new_app, one_line_errors
+from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.detection.scale import parse_scale
 from droptrack.options import (
     BackendOption,
     CfgOption,
+    ChannelOption,
     DarkOption,
     DiameterOption,
+    LevelsOption,
     MaxIouOption,
     PrecisionOption,
     RegionOption,
@@ -46,6 +49,8 @@ def main(
     max_iou: MaxIouOption = MAX_IOU,
     dark: DarkOption = False,
     region: RegionOption = None,
+    levels: LevelsOption = None,
+    channel: ChannelOption = None,
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Write no annotated images.")
     ] = False,
@@ -65,6 +70,7 @@ def main(
         max_iou=max_iou,
         dark=dark,
         region=region,
+        reading=ReadOptions(levels=levels, channel=channel),
         annotated=not no_images,
     )
     done = detect_images(config, functools.partial(typer.echo, err=True))

@@ -50,3 +50,27 @@ RegionOption = Annotated[
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]
+LevelsOption = Annotated[
+    tuple[float, float] | None,
+    typer.Option(
+        metavar="LOW HIGH",
+        help="Grey levels that are black and white, of more than 8 bits; default: those in use.",
+    ),
+]
+ChannelOption = Annotated[
+    int | None, typer.Option(min=0, help="Channel of a stack with several, from 0.")
+]
+RenumberOption = Annotated[
+    bool,
+    typer.Option("--renumber", help="Count the images of a numbered sequence with holes 0, 1, 2."),
+]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Go on with a run of the same that was ended too early.")
+]
+ReconnectOption = Annotated[
+    float,
+    typer.Option(min=0, metavar="SECONDS", help="Wait so long for a stream that is away; 0: end."),
+]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the results of an earlier run of the same.")
+]

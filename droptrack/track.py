@@ -7,18 +7,25 @@ from typing import Annotated
 import typer
 
 from droptrack.api import track
-from droptrack.command_line import also_call, new_app, one_line_errors
+from droptrack.command_line import also_call, new_app, one_line_errors, refuse_given, was_given
+from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.detection.scale import parse_scale
 from droptrack.errors import DroptrackError
 from droptrack.options import (
     BackendOption,
     CfgOption,
+    ChannelOption,
     DarkOption,
     DiameterOption,
+    LevelsOption,
     MaxIouOption,
+    OverwriteOption,
     PrecisionOption,
+    ReconnectOption,
     RegionOption,
+    RenumberOption,
+    ResumeOption,
     ScaleOption,
     ScoreOption,
     SizeOption,
@@ -32,10 +39,27 @@ from droptrack.tracking.choice import TrackerConfig, TrackerName, parse_velocity
 app = new_app()
 also_call(__name__, track)
 
+OF_VIDEOS = (
+    *("weights", "cfg", "no_video", "backend", "precision", "size", "scale", "diameter", "live"),
+    *(
+        "max_iou",
+        "dark",
+        "batch",
+        "levels",
+        "channel",
+        "renumber",
+        "reconnect",
+        "appearance_weights",
+    ),
+    "appearance_size",
+)
+OF_DEEPSORT = ("max_cosine_distance", "nn_budget", "max_iou_distance")
+
 
 @app.command()
 @one_line_errors
 def main(
+    context: typer.Context,
     video: Annotated[
         str | None,
         typer.Argument(help="Video file, folder of images, index of a camera, or a stream."),
@@ -73,6 +97,12 @@ def main(
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
     ] = 0,
+    levels: LevelsOption = None,
+    channel: ChannelOption = None,
+    renumber: RenumberOption = False,
+    reconnect: ReconnectOption = 0,
+    overwrite: OverwriteOption = False,
+    resume: ResumeOption = False,
     tracker: Annotated[
         TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
     ] = TrackerName.droplet,
@@ -124,12 +154,20 @@ def main(
         appearance_weights=appearance_weights,
         appearance_size=appearance_size,
     )
+    _refuse_ignored(context, tracking)
     if detections is not None:
         if video is not None or appearance is not None:
             raise DroptrackError("--detections takes the place of a video and its networks")
+        refuse_given(context, OF_VIDEOS, "is of videos, and changes nothing of --detections")
         done = run_detections(
             DetectionsConfig(
-                detections=detections, descriptors=descriptors, out=out, tracker=tracking
+                detections=detections,
+                descriptors=descriptors,
+                score=score if was_given(context, "score") else None,
+                max_frames=max_frames,
+                out=out,
+                overwrite=overwrite,
+                tracker=tracking,
             ),
             say,
         )
@@ -154,6 +192,11 @@ def main(
             batch=batch,
             max_frames=max_frames,
             annotated_video=not no_video,
+            reading=ReadOptions(
+                levels=levels, channel=channel, renumber=renumber, reconnect_s=reconnect
+            ),
+            overwrite=overwrite,
+            resume=resume,
             tracker=tracking,
         )
         done = run(config, say)
@@ -161,6 +204,18 @@ def main(
     if done.problem is not None:
         raise done.problem
     typer.echo(f"results in {done.folder}")
+
+
+def _refuse_ignored(context: typer.Context, tracking: TrackerConfig) -> None:
+    """Raise DroptrackError for options that would change nothing."""
+    if tracking.name is not TrackerName.deepsort:
+        refuse_given(context, OF_DEEPSORT, "is of --tracker deepsort")
+    else:
+        refuse_given(context, ("expect_velocity",), "is of --tracker droplet")
+    if tracking.appearance is None:
+        refuse_given(
+            context, ("appearance_weights", "appearance_size"), "is of an --appearance network"
+        )
 
 
 if __name__ == "__main__":

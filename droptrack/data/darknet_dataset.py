@@ -9,13 +9,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.detections import Detections
-from droptrack.data.files import read_text, write_text
+from droptrack.data.files import read_text, reading, write_text
+from droptrack.data.frames import as_frame
+from droptrack.data.sources.image_sequences import read_image_file
 from droptrack.errors import DroptrackError
+
+MAX_CLASS = 10_000
 
 
 @dataclass(frozen=True)
@@ -54,11 +57,13 @@ def read_data_file(path: Path) -> DataSet:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """One image as (H, W, 3) uint8 BGR; raises DroptrackError if it cannot be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if not path.exists():
+        raise DroptrackError(f"{path}: no such image")
+    with reading(path, "an image"):
+        image = read_image_file(path)
     if image is None:
-        reason = "cannot be decoded as an image" if path.exists() else "no such image"
-        raise DroptrackError(f"{path}: {reason}")
-    return np.asarray(image, np.uint8)
+        raise DroptrackError(f"{path}: cannot be decoded as an image")
+    return np.ascontiguousarray(as_frame(image))
 
 
 def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -75,8 +80,15 @@ def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
             row = []
         if len(row) != 5:
             raise DroptrackError(f"{path}:{number}: each line should be: class x y width height")
+        if not (0 <= row[0] <= MAX_CLASS and row[0] == int(row[0])):
+            raise DroptrackError(f"{path}:{number}: has class {row[0]:g}; classes are 0, 1, 2, ...")
         if not all(0 <= value <= 1 for value in row[1:]):
             raise DroptrackError(f"{path}:{number}: coordinates should lie between 0 and 1")
+        if not (row[3] > 0 and row[4] > 0):
+            raise DroptrackError(
+                f"{path}:{number}: a box needs a centre, a width and a height above 0; delete the "
+                "line"
+            )
         rows.append(row)
     table = np.array(rows).reshape(-1, 5)
     return table[:, 0].astype(np.int64), table[:, 1:]

@@ -22,6 +22,9 @@ def replacing(path: Path) -> Iterator[Path]:
     ...     [file.name for file in Path(folder).iterdir()]
     ['table.csv']
     """
+    if path.exists() and not path.is_file():  # such as /dev/stdout
+        yield path
+        return
     partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     try:
         yield partial
@@ -49,6 +52,9 @@ def reading(path: Path, kind: str = "text") -> Iterator[None]:
 
 
 def read_text(path: Path) -> str:
-    """Read a text file; raises DroptrackError naming it where that is not possible."""
+    """Read a text file, without the mark that some editors put before UTF-8.
+
+    Raises DroptrackError naming it where that is not possible.
+    """
     with reading(path):
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")

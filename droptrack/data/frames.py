@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from droptrack.data.levels import Levels, levels_in, to_pixels
+
 Frame = NDArray[np.uint8]
 
 
@@ -31,21 +33,21 @@ def negative(frame: Frame) -> Frame:
     return 255 - frame if plane is None else grey_frame(255 - plane)
 
 
-def as_frame(image: NDArray[Any]) -> Frame:
-    """Any decoded image as a frame: grey becomes BGR, alpha lies on black, 16 bits become 8."""
-    if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
-    elif image.dtype != np.uint8:
-        scaled = np.nan_to_num(np.asarray(image, np.float64))
-        image = np.clip(scaled * (255 if scaled.max(initial=0) <= 1 else 1), 0, 255).astype(
-            np.uint8
-        )
+def as_frame(image: NDArray[Any], levels: Levels | None = None) -> Frame:
+    """Any decoded image (H, W) or (H, W, C) as a frame: grey becomes BGR, alpha lies on black.
+
+    `levels`: which of more than 8 bits become black and white; without, those that it uses.
+
+    >>> as_frame(np.array([[0, 160, 4095]], np.uint16))[0, :, 0].tolist()
+    [0, 10, 255]
+    """
     if image.ndim == 2:
         image = image[..., None]
-    if image.shape[2] == 1:
-        return grey_frame(np.asarray(image[..., 0], np.uint8))
-    if image.shape[2] == 2:  # grey with alpha
-        return as_frame((image[..., 0] * (image[..., 1] / 255.0)).astype(np.uint8))
-    if image.shape[2] == 4:
-        return np.asarray(image[..., :3] * (image[..., 3:] / 255.0), np.uint8)
-    return np.asarray(image, np.uint8)
+    alpha = None
+    if image.shape[2] in (2, 4):
+        full = np.iinfo(image.dtype).max if image.dtype.kind in "iu" else 1.0
+        image, alpha = image[..., :-1], np.clip(image[..., -1:] / full, 0, 1)
+    pixels = to_pixels(image, levels or levels_in([image]))
+    if alpha is not None:
+        pixels = (pixels * alpha).astype(np.uint8)
+    return grey_frame(pixels[..., 0]) if pixels.shape[2] == 1 else pixels

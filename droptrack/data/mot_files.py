@@ -42,13 +42,14 @@ def write_detections(path: Path, frames: Sequence[Detections]) -> None:
 class DetectionFile:
     """A file all of whose rows are detections; iterate over it for the frames, one by one.
 
-    Each frame, also one without detections, gives its `Detections` and the rows (M,) of the file,
-    from 0, that they come from, in the file's order. `right` and `bottom`, in px: where the last
-    box ends, 0 without any. `out_of_order`: the first row, from 1, of a frame before that of the
-    row above it, and 0 where there is none.
+    Each frame from `first_frame` on, also one without detections, gives its `Detections` and the
+    rows (M,) of the file, from 0, that they come from, in the file's order. `right` and `bottom`,
+    in px: where the last box ends, 0 without any. `out_of_order`: the first row, from 1, of a frame
+    before that of the row above it, and 0 where there is none.
     """
 
     path: Path
+    first_frame: int  # from 1, as in the file; 1 without any
     n_frames: int
     n_rows: int
     right: float
@@ -57,12 +58,13 @@ class DetectionFile:
 
     def __iter__(self) -> Iterator[tuple[Detections, Rows]]:
         if not self.out_of_order:
-            yield from _frames(_parts(_blocks(self.path)))
+            yield from _frames(_parts(_blocks(self.path)), self.first_frame)
             return
         try:
             with tempfile.TemporaryFile() as file:
                 runs = _sorted_blocks(self.path, file)
-                yield from _frames(heapq.merge(*map(_parts, runs), key=_frame_of))
+                parts = heapq.merge(*map(_parts, runs), key=_frame_of)
+                yield from _frames(parts, self.first_frame)
         except OSError as error:
             raise DroptrackError(
                 f"{self.path}: rows are not in the order of their frames, and sorting them in "
@@ -78,6 +80,7 @@ def open_detections(path: Path) -> DetectionFile:
     if path.exists() and not path.is_file():
         raise DroptrackError(f"{path}: should be a file, which can be read twice")
     n_rows = last = n_frames = out_of_order = 0
+    first_frame = MAX_FRAMES
     corner = np.zeros(2)
     for table in _blocks(path):
         frames = np.append(last, table[:, 0])
@@ -86,9 +89,11 @@ def open_detections(path: Path) -> DetectionFile:
             out_of_order = n_rows + int(back[0]) + 1
         n_rows, last = n_rows + len(table), int(frames[-1])
         n_frames = max(n_frames, int(frames.max()))
+        first_frame = min(first_frame, int(table[:, 0].min()))
         corner = np.maximum(corner, (table[:, 2:4] + table[:, 4:6]).max(axis=0))
     return DetectionFile(
         path=path,
+        first_frame=first_frame if n_rows else 1,
         n_frames=n_frames,
         n_rows=n_rows,
         right=float(corner[0]),
@@ -100,7 +105,7 @@ def open_detections(path: Path) -> DetectionFile:
 def _blocks(path: Path) -> Iterator[Floats]:
     """Rows (B, 7) of a file, block by block, checked; its number, from 0, is each row's second."""
     n_rows, delimiter = 0, None
-    with reading(path), path.open(encoding="utf-8") as file:
+    with reading(path), path.open(encoding="utf-8-sig") as file:
         rows = (line for line in file if line.strip())
         while lines := list(islice(rows, BLOCK)):
             if n_rows == 0:
@@ -176,9 +181,9 @@ def _frame_of(part: Floats) -> int:
     return int(part[0, 0])
 
 
-def _frames(parts: Iterable[Floats]) -> Iterator[tuple[Detections, Rows]]:
-    """Rows of one frame after the other -> every frame."""
-    done = 0
+def _frames(parts: Iterable[Floats], first: int) -> Iterator[tuple[Detections, Rows]]:
+    """Rows of one frame after the other -> every frame from the first on."""
+    done = first - 1
     for number, same in groupby(parts, _frame_of):
         for _ in range(done + 1, number):
             yield labels(np.zeros((0, 4))), np.zeros(0, np.int64)

@@ -10,6 +10,8 @@ from typing import TypeAlias
 from rich.console import Console
 from rich.table import Table
 
+from droptrack.data.files import write_text
+
 Value: TypeAlias = str | int | float | bool | list[int] | list[str] | None
 
 
@@ -47,7 +49,7 @@ class Report:
             "summary": dict(self.summary),
             "droplets": [dict(droplet) for droplet in self.droplets],
         }
-        path.write_text(json.dumps(_without_nan(content), indent=1) + "\n", encoding="utf-8")
+        write_text(path, json.dumps(_without_nan(content), indent=1) + "\n")
 
 
 def _text(value: Value) -> str:

@@ -7,7 +7,9 @@ import cv2
 import numpy as np
 
 from droptrack.data.frames import Frame, as_frame
-from droptrack.data.video import Video, image_files, without_colour
+from droptrack.data.sources.opencv_names import opencv_name
+from droptrack.data.sources.video_files import without_colour
+from droptrack.data.video import Video
 
 N_SAMPLES = 4
 MAX_SECONDS = 1.0  # after which no further frame is sought
@@ -18,16 +20,12 @@ def sample_frames(video: Video, n: int) -> list[Frame]:
 
     Those of a camera, a stream, or a file whose length nobody knows are its first frame only.
     """
-    first = video.first_frame
-    path = Path(video.source)
-    if path.is_dir():
-        files = image_files(path)
-        frames = [_from_image(files[number]) for number in spread(len(files), n)[1:]]
-    elif path.is_file() and video.info.n_frames > 1 and not video.live:
-        frames = _from_file(path, spread(video.info.n_frames, n)[1:])
-    else:
-        frames = []
-    return [first, *(frame for frame in frames if frame is not None and frame.shape == first.shape)]
+    frames = video.samples()
+    if len(frames) > 1:
+        frames = [frames[place] for place in spread(len(frames), n)]
+    elif not video.live and video.info.n_frames > 1 and Path(video.source).is_file():
+        frames += _from_file(Path(video.source), spread(video.info.n_frames, n)[1:])
+    return [frame for frame in frames if frame.shape == frames[0].shape]
 
 
 def spread(total: int, n: int) -> list[int]:
@@ -40,22 +38,19 @@ def spread(total: int, n: int) -> list[int]:
     return sorted(set(np.round(places).astype(int).tolist()))
 
 
-def _from_image(path: Path) -> Frame | None:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    return None if image is None else as_frame(image)
-
-
-def _from_file(path: Path, numbers: list[int]) -> list[Frame | None]:
-    """Frames of a video file; fewer where they take long to find, None where one is damaged."""
-    capture = cv2.VideoCapture(str(path))
-    frames: list[Frame | None] = []
+def _from_file(path: Path, numbers: list[int]) -> list[Frame]:
+    """Frames of a video file; fewer where they take long to find, or cannot be decoded."""
+    with opencv_name(path) as name:
+        capture = cv2.VideoCapture(name)
+    frames = []
     began = time.perf_counter()
     for number in numbers:
         capture.set(cv2.CAP_PROP_POS_FRAMES, number)
         ok, image = capture.read()
-        frame = as_frame(image) if ok else None
-        grey = None if frame is None else without_colour(frame)
-        frames.append(frame if grey is None else grey)
+        if ok:
+            frame = as_frame(image)
+            grey = without_colour(frame)
+            frames.append(frame if grey is None else grey)
         if time.perf_counter() - began > MAX_SECONDS:
             break
     capture.release()

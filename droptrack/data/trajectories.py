@@ -6,6 +6,7 @@ A file begins with ``# key: value`` lines that say what made it, then has the co
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
@@ -160,9 +161,14 @@ class TrajectoryWriter:
             self._file: TextIO = path.open("w", newline="", encoding="utf-8")
         except OSError as error:
             raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
-        for key, value in about.items():
-            self._file.write(f"# {key}: {value}\n")
-        self._file.write(",".join(COLUMNS + self._extra) + "\n")
+        lines = [f"# {key}: {value}" for key, value in about.items()]
+        try:
+            self._file.writelines(f"{line}\n" for line in (*lines, ",".join(COLUMNS + self._extra)))
+            self._file.flush()
+        except OSError:
+            with suppress(OSError):  # which it raises again
+                self._file.close()
+            raise
 
     def write(self, rows: Trajectories, extra: Iterable[NDArray[Any]] = ()) -> None:
         """Append rows, with one array (M,) of numbers for each further column.

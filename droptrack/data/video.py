@@ -1,29 +1,40 @@
-"""Frames in and out: video files, folders of images, cameras; annotated videos.
+"""Frames in and out: video files, image folders, stacks, cameras; annotated videos.
 
 A frame is a plain (H, W, 3) uint8 BGR array.
 """
 
 import math
-import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import chain, islice
 from pathlib import Path
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
-from droptrack.data.frames import Frame, as_frame, grey_frame, grey_plane
+from droptrack.data.frames import Frame, as_frame
+from droptrack.data.levels import EIGHT_BITS, Levels, given_levels, levels_in, levels_of_bits
+from droptrack.data.sources.image_files import IMAGE_SUFFIXES, TIFF_SUFFIXES, image_files
+from droptrack.data.sources.image_sequences import open_image, open_sequence
+from droptrack.data.sources.microscopy import (
+    MICROSCOPY_SUFFIXES,
+    open_microscopy,
+    refuse_known,
+)
+from droptrack.data.sources.opencv_names import opencv_name
+from droptrack.data.sources.phantom import open_cine
+from droptrack.data.sources.photron import open_mraw
+from droptrack.data.sources.source import N_SAMPLES, Image, ReadOptions, Source
+from droptrack.data.sources.streams import Outages, open_stream
+from droptrack.data.sources.tiff_stacks import open_stacks
+from droptrack.data.sources.video_files import open_video
 from droptrack.errors import DroptrackError
 
-IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm"}
+__all__ = ["IMAGE_SUFFIXES", "ReadOptions", "Video", "VideoInfo", "VideoWriter", "image_files"]
+
 DEFAULT_FPS = 25.0  # of sources that do not say
-GREY = 4  # levels that the colours of a grey frame may differ by, from a codec's rounding
-LOOK_FOR_COLOUR = 25  # frames from one look to the next, in Motion JPEG
-# frames one after the other that cannot be decoded, before that is taken for the end
-MAX_DAMAGED = 10_000
-STREAMS = ("rtsp://", "rtmp://", "rtp://", "udp://", "srt://")
+MAX_FPS = 1e8
+MIN_MPEG4_PX, MAX_MPEG4_PX = 2, 8190
+MIN_MPEG4_RATE, MAX_MPEG4_RATE = 0.01, 65535
 
 
 @dataclass(frozen=True)
@@ -41,45 +52,52 @@ class VideoInfo:
 
 class Video:
     """A source of frames: a video file, a folder of images (in the order of the numbers in their
-    names), or a camera by its index. Raises DroptrackError for what cannot be opened or read.
+    names) or those of its images that fit a pattern (``folder/a_*.png``), an image, a TIFF stack, a
+    camera by its index, or a stream. Raises DroptrackError for what cannot be opened or read.
 
-    The first frame is read at once, since only a decoded frame shows that a file is a video.
+    `levels`: which grey levels are black and white; `counted`: whether `info.n_frames` is no mere
+    estimate; `n_absent`: how many of these are missing in a numbered sequence; `says_fps`: whether
+    the file says its rate; `pixel_size_um`: 0 where it does not say; `notes`: what a user might not
+    expect. The first frame is read at once, since only a decoded frame shows that a file is a
+    video.
     """  # noqa: D205
 
-    def __init__(self, source: str) -> None:
+    def __init__(self, source: str, options: ReadOptions | None = None) -> None:
         self.source = source
-        path = Path(source)
-        if path.is_dir():
-            self.live = False
-            self._frames = _read_images(path)
-            claimed, fps = len(image_files(path)), DEFAULT_FPS
-        else:
-            if not path.exists() and not source.isdigit() and "://" not in source:
-                raise DroptrackError(f"{source}: no such video, image folder or camera")
-            is_camera = source.isdigit() and not path.exists()
-            self.live = is_camera or source.startswith(STREAMS)
-            capture = _open_capture(source, is_camera=is_camera)
-            claimed = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-            fps = float(capture.get(cv2.CAP_PROP_FPS))
-            self._frames = _read_jpegs(path, capture) or _read_capture(capture, claimed)
-        self._first = next(self._frames, None)
+        options = options or ReadOptions()
+        self._outages = Outages()
+        opened, self.live = _open(source, options, self._outages)
+        self._images = opened.images
+        self._first = next(self._images, None)
         if self._first is None:
             raise DroptrackError(f"{source}: has no frame that can be decoded; is it cut off?")
+        self.levels = self._choose_levels(opened, options)
         height, width = self._first[1].shape[:2]
-        sane = math.isfinite(fps) and 0 < fps <= 1e5
-        self.info = VideoInfo(width, height, fps if sane else DEFAULT_FPS, claimed)
+        self.says_fps = math.isfinite(opened.fps) and 0 < opened.fps <= MAX_FPS
+        fps = opened.fps if self.says_fps else DEFAULT_FPS
+        self.info = VideoInfo(width, height, fps, opened.n_frames)
+        self.counted = opened.counted
+        self.n_absent = opened.n_absent
+        self.pixel_size_um = opened.pixel_size_um
+        self.notes = opened.notes
+        self._samples = opened.samples
 
-    @property
-    def first_frame(self) -> Frame:
-        """The first frame, until `numbered` has begun."""
+    def samples(self) -> list[Frame]:
+        """Frames that can be had before `numbered` begins: from all over, else only the first."""
         if self._first is None:
             raise ValueError("frames are being read")
-        return self._first[1]
+        images = [self._first[1], *(self._samples() if self._samples else [])[1:]]
+        return [as_frame(image, self.levels) for image in images]
 
     def __iter__(self) -> Iterator[Frame]:
         """Every frame, once."""
         for _, frame in self.numbered():
             yield frame
+
+    @property
+    def n_lost(self) -> int:
+        """Frames so far that came while a stream was away, by its rate."""
+        return self._outages.n_frames
 
     def numbered(self) -> Iterator[tuple[int, Frame]]:
         """Every frame that can be decoded, once, with its number.
@@ -89,15 +107,101 @@ class Video:
         if self._first is None:
             raise ValueError("frames can be read once")
         first, self._first = self._first, None
-        yield first
-        for index, frame in self._frames:
-            if frame.shape != first[1].shape:
-                raise DroptrackError(
-                    f"{self.source}: frame {index} is {frame.shape[1]} x {frame.shape[0]} px, "
-                    f"those before it {first[1].shape[1]} x {first[1].shape[0]}; split the video "
-                    "there"
-                )
-            yield index, frame
+        yield first[0], as_frame(first[1], self.levels)
+        for index, image in self._images:
+            self._refuse_another_kind(index, image, first[1])
+            yield index, as_frame(image, self.levels)
+
+    def _choose_levels(self, opened: Source, options: ReadOptions) -> Levels:
+        assert self._first is not None
+        if options.levels is not None:
+            return given_levels(*options.levels)
+        if self._first[1].dtype.itemsize == 1:
+            return EIGHT_BITS
+        if opened.bits:
+            return levels_of_bits(opened.bits)
+        samples = opened.samples() if opened.samples else None
+        if not samples:
+            ahead = list(islice(self._images, N_SAMPLES - 1))
+            self._images = chain(ahead, self._images)
+            samples = [image for _, image in [self._first, *ahead]]
+        return levels_in([_without_alpha(image) for image in samples])
+
+    def _refuse_another_kind(self, index: int, image: Image, first: Image) -> None:
+        if image.shape[:2] != first.shape[:2]:
+            raise DroptrackError(
+                f"{self.source}: frame {index} is {image.shape[1]} x {image.shape[0]} px, "
+                f"those before it {first.shape[1]} x {first.shape[0]}; split the video there"
+            )
+        if image.dtype != first.dtype:
+            raise DroptrackError(
+                f"{self.source}: frame {index} is of type {image.dtype}, those before it of "
+                f"{first.dtype}: their grey levels cannot be compared; split the video there"
+            )
+
+
+def _open(source: str, options: ReadOptions, outages: Outages) -> tuple[Source, bool]:
+    """What a name stands for, and whether it is live."""
+    path = Path(source)
+    if options.reconnect_s and path.exists():
+        raise DroptrackError(f"{source}: is no live stream; leave out --reconnect")
+    if path.is_dir():
+        return open_sequence(path, "*", options), False
+    if path.exists():
+        suffix = path.suffix.lower()
+        if suffix in TIFF_SUFFIXES:
+            return open_stacks([path], options), False
+        if suffix in IMAGE_SUFFIXES:
+            return open_image(path, options), False
+        if suffix == ".cine":
+            return open_cine(path, options), False
+        if suffix in (".mraw", ".cih", ".cihx"):
+            return open_mraw(path, options), False
+        if suffix in MICROSCOPY_SUFFIXES:
+            return open_microscopy(path, options), False
+        try:
+            return open_video(path, options), False
+        except DroptrackError:
+            refuse_known(path)
+            raise
+    is_camera = source.isascii() and source.isdecimal()
+    if not is_camera and "://" not in source:
+        if any(sign in path.name for sign in "*?[") and path.parent.is_dir():
+            return open_sequence(path.parent, path.name, options), False
+        raise DroptrackError(f"{source}: no such video, image folder or camera")
+    return open_stream(source, options, outages)
+
+
+def _without_alpha(image: Image) -> Image:
+    return image[..., :-1] if image.ndim == 3 and image.shape[2] in (2, 4) else image
+
+
+def mpeg4_info(info: VideoInfo) -> tuple[VideoInfo, int]:
+    """The nearest video that MPEG-4 (part 2) can hold, and by how much it is smaller.
+
+    Rates are whole numbers of 16 bits over a power of ten, as OpenCV writes them; sides have up to
+    MAX_MPEG4_PX.
+
+    >>> mpeg4_info(VideoInfo(10_000, 500, 20_000 / 3, 0))
+    (VideoInfo(width=5000, height=250, fps=6667.0, n_frames=0), 2)
+    """
+    smaller = -(-max(info.width, info.height) // MAX_MPEG4_PX)
+    rates = (round(info.fps * scale) / scale for scale in (1000, 100, 10, 1))
+    held = (rate for rate in rates if rate <= MAX_MPEG4_RATE / _scale_of(rate))
+    fps = max(next(held, float(MAX_MPEG4_RATE)), MIN_MPEG4_RATE)
+    size = (info.width, info.height)
+    if smaller > 1 or min(size) < MIN_MPEG4_PX:
+        size = (_even(info.width // smaller), _even(info.height // smaller))
+    return VideoInfo(*size, fps, info.n_frames), smaller
+
+
+def _even(side: int) -> int:
+    return max(MIN_MPEG4_PX, side // 2 * 2)
+
+
+def _scale_of(rate: float) -> int:
+    """The power of ten that makes a rate with up to three decimals a whole number."""
+    return next(scale for scale in (1, 10, 100, 1000) if abs(rate * scale % 1 - 0.5) > 0.4999)
 
 
 class VideoWriter:
@@ -113,9 +217,10 @@ class VideoWriter:
             raise ValueError(f"MJPG videos have whole frames a second, not {info.fps}")
         parameters = [cv2.VIDEOWRITER_PROP_QUALITY, quality] if fourcc == "MJPG" else []
         backend = cv2.CAP_OPENCV_MJPEG if fourcc == "MJPG" else cv2.CAP_FFMPEG
-        self._size = (info.width, info.height)
+        self.size = (info.width, info.height)
         code = cv2.VideoWriter.fourcc(*fourcc)
-        self._writer = cv2.VideoWriter(str(path), backend, code, info.fps, self._size, parameters)
+        with opencv_name(path) as name:
+            self._writer = cv2.VideoWriter(name, backend, code, info.fps, self.size, parameters)
         self._n_written = 0
         if not self._writer.isOpened():
             raise DroptrackError(
@@ -124,8 +229,8 @@ class VideoWriter:
 
     def write(self, frame: Frame) -> None:
         """Append a frame of the size given at the start."""
-        if (frame.shape[1], frame.shape[0]) != self._size:
-            raise ValueError(f"a frame of {frame.shape} in a video of {self._size}")
+        if (frame.shape[1], frame.shape[0]) != self.size:
+            raise ValueError(f"a frame of {frame.shape} in a video of {self.size}")
         self._writer.write(frame)
         self._n_written += 1
 
@@ -148,121 +253,10 @@ class VideoWriter:
         self.close()
 
 
-def _open_capture(source: str, *, is_camera: bool) -> cv2.VideoCapture:
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below says more
-    capture = cv2.VideoCapture(int(source)) if is_camera else cv2.VideoCapture(source)
-    cv2.utils.logging.setLogLevel(level)
-    if not capture.isOpened():
-        if is_camera:
-            raise DroptrackError(f"camera {source}: cannot be opened; is it plugged in and free?")
-        raise DroptrackError(f"{source}: is no video that OpenCV or FFmpeg can read")
-    return capture
-
-
 def _count_frames(path: Path) -> int:
     """The number of frames that a video file claims, 0 if it is none."""
-    capture = cv2.VideoCapture(str(path))
+    with opencv_name(path) as name:
+        capture = cv2.VideoCapture(name)
     n_frames = int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) if capture.isOpened() else 0
     capture.release()
     return n_frames
-
-
-def _read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int, Frame]]:
-    """Frames of a camera, or of a video that claims to have so many.
-
-    FFmpeg leaves some out that it cannot decode, and fails at others. That is not yet the end.
-    """
-    maybe_grey = True  # until the first frame with colour
-    n_failed = 0
-    try:
-        for index in count():
-            ok, image = capture.read()
-            if ok:
-                n_failed = 0
-                frame = as_frame(image)
-                grey = without_colour(frame) if maybe_grey else None
-                maybe_grey = grey is not None
-                yield index, frame if grey is None else grey
-            else:
-                n_failed += 1
-                if index >= claimed or n_failed > MAX_DAMAGED:
-                    return
-    finally:
-        capture.release()
-
-
-def _read_jpegs(path: Path, capture: cv2.VideoCapture) -> Iterator[tuple[int, Frame]] | None:
-    """Frames of a Motion JPEG file; None for other sources, and for other forms of it.
-
-    OpenCV decodes a JPEG image in less time than FFmpeg, a grey one in half of it, and tells when
-    one is damaged.
-    """
-    code = (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little")
-    if code.upper() not in {b"MJPG", b"JPEG"} or not path.is_file():
-        return None
-    packets = _packets(path)
-    first = next(packets, None)
-    image = None if first is None else cv2.imdecode(first, cv2.IMREAD_COLOR)
-    size = [capture.get(side) for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)]
-    if first is None or image is None or list(image.shape[:2]) != size:  # half a frame, maybe
-        return None
-    capture.release()
-    return _decoded(chain([first], packets))
-
-
-def _packets(path: Path) -> Iterator[NDArray[np.uint8]]:
-    """The frames of a video file as they are in it."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    try:
-        while True:
-            ok, packet = capture.read()
-            if not ok:
-                return
-            yield np.asarray(packet, np.uint8)
-    finally:
-        capture.release()
-
-
-def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]]:
-    """The frames of JPEG images, grey until one has a colour that an eighth of its size shows.
-
-    Only some are looked at for that, since it takes as long as decoding them.
-    """
-    maybe_grey = True
-    for index, packet in enumerate(packets):
-        if maybe_grey and index % LOOK_FOR_COLOUR == 0:
-            small = cv2.imdecode(packet, cv2.IMREAD_REDUCED_COLOR_8)
-            maybe_grey = small is None or without_colour(as_frame(small)) is not None
-        image = cv2.imdecode(packet, cv2.IMREAD_GRAYSCALE if maybe_grey else cv2.IMREAD_COLOR)
-        if image is not None:
-            yield index, as_frame(image)
-
-
-def without_colour(frame: Frame) -> Frame | None:
-    """The same as a grey frame; None where it has a colour."""
-    if grey_plane(frame) is not None:
-        return frame
-    green = np.asarray(cv2.extractChannel(frame, 1), np.uint8)
-    colour = cv2.norm(frame, cv2.cvtColor(green, cv2.COLOR_GRAY2BGR), cv2.NORM_INF)
-    return grey_frame(green) if colour <= GREY else None
-
-
-def image_files(folder: Path) -> list[Path]:
-    """The images of a folder, in the order of the numbers in their names."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
-    numbers = re.compile(r"(\d+)")
-
-    def order(path: Path) -> list[tuple[int, int, str]]:
-        """Numbers in a name count as numbers: frame_2 comes before frame_10."""
-        parts = numbers.split(path.name)
-        return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]
-
-    return sorted(files, key=order)
-
-
-def _read_images(folder: Path) -> Iterator[tuple[int, Frame]]:
-    for index, path in enumerate(image_files(folder)):
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if image is not None:
-            yield index, as_frame(image)

@@ -132,7 +132,8 @@ def _candidates(precision: Precision) -> Iterator[Backend]:
         Backend.opencv_cuda: opencv_dnn.has_cuda(),
         Backend.openvino: _installed("openvino") and _installed("onnx"),
         Backend.opencv: True,
-        Backend.torch: precision is Precision.bf16 and _installed("torch"),
+        Backend.torch: _installed("torch")
+        and (precision is Precision.bf16 or not opencv_dnn.reads_darknet()),
     }
     for backend, precisions in PRECISIONS.items():
         if here[backend] and (precision is Precision.auto or precision in precisions):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, read_cfg, resized
+from droptrack.network.darknet_weights import refuse_partial
 
 BUNDLED = Path(__file__).parents[2] / "darknet_cfg"
 BUNDLED_WEIGHTS = BUNDLED / "yolov3-tiny-droplets.weights"
@@ -51,5 +52,12 @@ def find_network(
     cannot be understood.
     """
     weights = weights or BUNDLED_WEIGHTS
+    refuse_partial(weights)
     network = read_cfg(cfg or find_cfg(weights))
+    if network.net.integer("letter_box", 0):
+        raise DroptrackError(
+            f"{network.path}:{network.net.line}: letter_box=1 fills the input with grey where an "
+            "image has another shape, which no engine here does: it takes the image's shape; set "
+            "letter_box=0"
+        )
     return (network if size is None else resized(network, *parse_size(size))), weights

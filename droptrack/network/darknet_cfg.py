@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,11 @@ from numpy.typing import NDArray
 
 from droptrack.data.files import read_text
 from droptrack.errors import DroptrackError
+from droptrack.network.cfg_options import NEEDED, refusal
 
+MAX_INTEGER = 2**53  # which a float holds exactly
+MAX_VALUES = 2**31  # of a network: 8 GB
+MAX_PIXELS = 2**26  # of a network's input
 INPUT_MULTIPLE = 32  # px: a YOLO network's input is a multiple of it
 MAX_LOG_SIZE = 10.0  # bound on the logarithm of a box's size over its anchor's: none overflows
 BATCH_NORM_EPSILON = 1e-5  # in Darknet's forks and OpenCV; the first Darknet had 1e-6
@@ -26,7 +31,17 @@ class Layer:
 
     def integer(self, key: str, default: int | None = None) -> int:
         """The option as an int; raises DroptrackError if it is absent without default or no int."""
-        return int(self.number(key, default))
+        value = self.number(key, default)
+        if abs(value) > MAX_INTEGER or value != int(value):
+            raise self._bad(key, "a whole number")
+        return int(value)
+
+    def count(self, key: str, default: int | None = None) -> int:
+        """The option as an int from 1 on; raises DroptrackError as `integer` does."""
+        value = self.integer(key, default)
+        if value < 1:
+            raise self._bad(key, "1 or more")
+        return value
 
     def number(self, key: str, default: float | None = None) -> float:
         """The option as a float; raises DroptrackError as `integer` does."""
@@ -43,9 +58,12 @@ class Layer:
                 raise DroptrackError(f"line {self.line}: [{self.kind}] needs {key}=")
             return default
         try:
-            return tuple(float(part) for part in text.split(",") if part.strip())
+            values = tuple(float(part) for part in text.split(",") if part.strip())
         except ValueError:
             raise self._bad(key, "a number, or several with commas") from None
+        if not all(map(isfinite, values)):
+            raise self._bad(key, "finite")
+        return values
 
     def text(self, key: str, default: str) -> str:
         """The option as written, or the default."""
@@ -113,7 +131,8 @@ def read_cfg(path: Path) -> Cfg:
 
 def parse_cfg(text: str, path: Path) -> Cfg:
     """Parse the text of a ``.cfg``; `path` only names it in errors."""
-    sections: list[tuple[str, dict[str, str], int]] = []
+    # each section, its options, and their lines
+    sections: list[tuple[Layer, dict[str, str], dict[str, int]]] = []
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.split("#")[0].strip()
         if not line or line.startswith(";"):
@@ -123,20 +142,41 @@ def parse_cfg(text: str, path: Path) -> Cfg:
                 raise DroptrackError(
                     f"{path}:{number}: a section is written [kind], found {line!r}"
                 )
-            sections.append((line[1:-1].strip(), {}, number))
+            options: dict[str, str] = {}
+            sections.append((Layer(line[1:-1].strip(), options, number), options, {}))
             continue
-        key, equals, value = line.partition("=")
+        key, equals, value = (part.strip() for part in line.partition("="))
         if not equals or not sections:
             raise DroptrackError(
                 f"{path}:{number}: expected key=value in a section, found {line!r}"
             )
-        sections[-1][1][key.strip()] = value.strip()
-    if not sections or sections[0][0] not in ("net", "network"):
+        _, options, lines = sections[-1]
+        if options.get(key, value) != value:
+            raise DroptrackError(
+                f"{path}:{number}: {key}={value}, but line {lines[key]} has "
+                f"{key}={options[key]}; which one is meant?"
+            )
+        options[key], lines[key] = value, number
+    if not sections or sections[0][0].kind not in ("net", "network"):
         raise DroptrackError(f"{path}: a Darknet .cfg starts with [net]; is this another file?")
-    net, *layers = (Layer(*section) for section in sections)
+    for section, _, lines in sections:
+        _check_options(path, section, lines)
+    net, *layers = (section for section, _, _ in sections)
     cfg = Cfg(path, net, tuple(layers))
     _check(cfg)
     return cfg
+
+
+def _check_options(path: Path, section: Layer, lines: Mapping[str, int]) -> None:
+    """Raise DroptrackError for an option that no engine applies, with its line."""
+    kind = "net" if section.kind == "network" else section.kind
+    for key, number in lines.items():
+        problem = refusal(kind, key, section.options)
+        if problem is not None:
+            raise DroptrackError(f"{path}:{number}: {key}={section.options[key]} {problem}")
+    for key in NEEDED.get(kind, ()):
+        if key not in section.options:
+            raise DroptrackError(f"{path}:{section.line}: [{kind}] needs {key}=")
 
 
 def cfg_text(cfg: Cfg) -> str:
@@ -177,6 +217,12 @@ def _check(cfg: Cfg) -> None:
         shapes = layer_shapes(cfg)
     except DroptrackError as error:
         raise DroptrackError(f"{cfg.path}: {error}") from None
+    n_values = sum(one.n_values for one in convolutions(cfg))
+    if n_values > MAX_VALUES or cfg.width * cfg.height > MAX_PIXELS:
+        raise DroptrackError(
+            f"{cfg.path}: {n_values:,} values and an input of {cfg.width} x {cfg.height} px are "
+            f"too many; up to {MAX_VALUES:,} and {MAX_PIXELS:,} px are read"
+        )
     if not heads:
         raise DroptrackError(f"{cfg.path}: has no [yolo] layer, so it detects nothing")
     for head in heads:
@@ -199,12 +245,15 @@ def layer_shapes(cfg: Cfg) -> list[tuple[int, int]]:
     channels, stride = cfg.net.integer("channels", 3), 1
     for index, layer in enumerate(cfg.layers):
         if layer.kind == "convolutional":
-            channels = layer.integer("filters")
-            stride *= layer.integer("stride", 1)
+            groups = layer.count("groups", 1)
+            if channels % groups or layer.count("filters") % groups:
+                raise DroptrackError(f"line {layer.line}: groups={groups} does not divide channels")
+            channels = layer.count("filters")
+            stride *= layer.count("stride", 1)
         elif layer.kind == "maxpool":
-            stride *= layer.integer("stride", 1)
+            stride *= layer.count("stride", 1)
         elif layer.kind == "upsample":
-            factor = layer.integer("stride", 2)
+            factor = layer.count("stride", 2)
             if stride % factor:
                 raise DroptrackError(f"line {layer.line}: [upsample] beyond the input's size")
             stride //= factor
@@ -214,11 +263,19 @@ def layer_shapes(cfg: Cfg) -> list[tuple[int, int]]:
                 raise DroptrackError(
                     f"line {layer.line}: [route] concatenates layers of different sizes"
                 )
-            channels = sum(shapes[source][0] for source in sources)
-            channels //= layer.integer("groups", 1)
+            groups, group = layer.count("groups", 1), layer.integer("group_id", 0)
+            if not 0 <= group < groups or any(shapes[source][0] % groups for source in sources):
+                raise DroptrackError(f"line {layer.line}: group {group} of {groups} is not there")
+            channels = sum(shapes[source][0] for source in sources) // groups
             stride = shapes[sources[0]][1]
         elif layer.kind == "shortcut":
-            (source,) = route_sources(layer, index)
+            sources = route_sources(layer, index)
+            if len(sources) > 1:
+                raise DroptrackError(
+                    f"line {layer.line}: [shortcut] from={layer.options['from']} adds several "
+                    "layers, which no engine here does; one is supported"
+                )
+            source = sources[0]
             if shapes[source] != shapes[index - 1]:
                 raise DroptrackError(f"line {layer.line}: [shortcut] adds layers of unlike shapes")
         elif layer.kind != "yolo":
@@ -260,9 +317,9 @@ def convolutions(cfg: Cfg) -> list[Convolution]:
         found.append(
             Convolution(
                 layer=index,
-                inputs=inputs // layer.integer("groups", 1),
-                outputs=layer.integer("filters"),
-                size=layer.integer("size", 1),
+                inputs=inputs // layer.count("groups", 1),
+                outputs=layer.count("filters"),
+                size=layer.count("size", 1),
                 batch_normalize=bool(layer.integer("batch_normalize", 0)),
             )
         )
@@ -282,6 +339,12 @@ def yolo_heads(cfg: Cfg) -> list[YoloHead]:
         if len(flat) % 2 or not flat:
             raise DroptrackError(f"line {layer.line}: anchors= needs pairs of width, height")
         anchors = np.array(flat, float).reshape(-1, 2)
+        if (anchors <= 0).any():
+            raise DroptrackError(f"line {layer.line}: anchors= needs sizes above 0")
+        if layer.integer("num", len(anchors)) != len(anchors):
+            raise DroptrackError(
+                f"line {layer.line}: num={layer.options['num']}, but anchors= has {len(anchors)}"
+            )
         mask = tuple(int(n) for n in layer.numbers("mask", tuple(range(len(anchors)))))
         if any(not 0 <= n < len(anchors) for n in mask):
             raise DroptrackError(f"line {layer.line}: mask= names an anchor that is not there")
@@ -293,7 +356,7 @@ def yolo_heads(cfg: Cfg) -> list[YoloHead]:
                 anchors=anchors[list(mask)],
                 all_anchors=anchors,
                 mask=mask,
-                classes=layer.integer("classes", 20),
+                classes=layer.count("classes", 20),
                 stride=shapes[index][1],
                 scale_x_y=layer.number("scale_x_y", 1),
             )

@@ -6,6 +6,7 @@ order: biases; with ``batch_normalize`` also scales, rolling means and rolling v
 kernel (out, in, height, width).
 """
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, Convolution, convolutions
 
 WEIGHTS_VERSION = (0, 2, 5)
+PARTIAL = re.compile(r"\.conv\.(\d{1,6})$")  # what ``darknet partial`` calls the first N layers
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,31 @@ def read_weights(path: Path, cfg: Cfg) -> Weights:
     Raises DroptrackError when the file is absent, ends too early (naming the layer at which it ran
     out), is too long, or holds numbers that are not finite.
     """
+    refuse_partial(path)
+    return _read(path, cfg, len(cfg.layers))
+
+
+def refuse_partial(path: Path) -> None:
+    """Raise DroptrackError for a file of the first layers only, by its name."""
+    if partial := PARTIAL.search(path.name):
+        raise DroptrackError(
+            f"{path}: has the first {partial[1]} layers only: a training can start from it, but it "
+            "finds nothing yet"
+        )
+
+
+def read_start(path: Path, cfg: Cfg) -> Weights:
+    """Weights that a training starts from, which may be those of the first layers only.
+
+    The name of such a file ends with their number, as in ``yolov3-tiny.conv.15``; Darknet reads no
+    further. Raises DroptrackError as `read_weights` does.
+    """
+    partial = PARTIAL.search(path.name)
+    return _read(path, cfg, int(partial[1]) if partial else len(cfg.layers))
+
+
+def _read(path: Path, cfg: Cfg, n_layers: int) -> Weights:
+    """The values of the convolutions among the first layers, which should be the whole file."""
     with reading(path, "Darknet weights"):
         data = path.read_bytes()
     if len(data) < 16:
@@ -62,7 +89,8 @@ def read_weights(path: Path, cfg: Cfg) -> Weights:
         raise DroptrackError(f"{path}: version {major}.{minor} is absurd: not a .weights file?")
     (images_seen,) = struct.unpack_from("<Q" if wide else "<I", data, 12)
     start = 20 if wide else 16
-    wanted = sum(convolution.n_values for convolution in convolutions(cfg))
+    here = [one for one in convolutions(cfg) if one.layer < n_layers]
+    wanted = sum(convolution.n_values for convolution in here)
     present, odd = divmod(len(data) - start, 4)
     if present != wanted or odd:
         raise DroptrackError(f"{path}: does not fit {cfg.path}: {_misfit(cfg, present, wanted)}")

@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.pipeline.results_folder import results_name
 from droptrack.tracking.choice import TrackerConfig
 
 MIN_SCORE = 0.4
@@ -43,7 +45,9 @@ class TrackingConfig(DetectorConfig):
     `video`: a file, a folder of images, the index of a camera, or the address of a stream. `out`:
     the folder for the results, default ``tracks/<the video's name>``. `live`: always take the
     newest frame and drop others; default for cameras and streams. `batch`: frames that the network
-    takes at once. `max_frames`: stop after so many; 0: never.
+    takes at once. `max_frames`: stop after so many; 0: never. `reading`: how to read what can be
+    read in several ways. `overwrite`: the results of an earlier run of the same video. `resume`:
+    one that was ended too early, whatever ended it.
     """
 
     video: str
@@ -52,24 +56,29 @@ class TrackingConfig(DetectorConfig):
     batch: int = 1
     max_frames: int = 0
     annotated_video: bool = True
+    reading: ReadOptions = field(default_factory=ReadOptions)
+    overwrite: bool = False
+    resume: bool = False
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property
     def folder(self) -> Path:
         """The folder for the results."""
-        return self.out or Path("tracks") / (Path(self.video).stem or "camera")
+        return self.out or Path("tracks") / results_name(self.video)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImagesConfig(DetectorConfig):
     """How to find the droplets of single images.
 
-    `sources`: images, folders of images, and videos. `out`: the folder for the results.
+    `sources`: images, folders of images, and videos, and how they are read. `out`: the folder for
+    the results.
     `annotated`: write the images with the boxes, too.
     """
 
     sources: tuple[str, ...]
     out: Path
+    reading: ReadOptions = field(default_factory=ReadOptions)
     annotated: bool = True
 
 
@@ -78,15 +87,19 @@ class DetectionsConfig:
     """How to track detections that some other program found.
 
     `detections`: a file in the format of the MOT Challenge. `descriptors`: an .npy file with the
-    appearance descriptor (D,) of each of its rows. `out`: as `TrackingConfig` has it.
+    appearance descriptor (D,) of each of its rows. `score`: of rows that are used. `out`,
+    `max_frames` and `overwrite`: as `TrackingConfig` has them.
     """
 
     detections: Path
     descriptors: Path | None = None
+    score: float | None = None
+    max_frames: int = 0
     out: Path | None = None
+    overwrite: bool = False
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property
     def folder(self) -> Path:
         """The folder for the results."""
-        return self.out or Path("tracks") / self.detections.stem
+        return self.out or Path("tracks") / results_name(str(self.detections))

@@ -17,10 +17,10 @@ import PIL.Image
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.detections import Detections
 from droptrack.data.files import replacing
-from droptrack.data.frames import Frame, as_frame
+from droptrack.data.frames import Frame
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
-from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
+from droptrack.data.video import IMAGE_SUFFIXES, ReadOptions, Video, image_files
 from droptrack.errors import DroptrackError
 from droptrack.measurement.centre_of_mass import centres_of_mass
 from droptrack.network.quantisation import sha256_of
@@ -70,7 +70,7 @@ def detect_images(
     """
     began = time.perf_counter()
     detectors: dict[tuple[int, int], OpenedDetector] = {}
-    images = read_images(config.sources)
+    images = read_images(config.sources, config.reading)
     first = next(images)  # what cannot be opened is refused before anything is written
     config.out.mkdir(parents=True, exist_ok=True)
     with (
@@ -82,7 +82,7 @@ def detect_images(
         for image in bar.track(chain([first], images), description="detecting"):
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
-                samples = functools.partial(_samples, config.sources, image)
+                samples = functools.partial(_samples, config, image)
                 detectors[size] = open_detector(config, size, samples, live=False, say=say)
             (found,) = detectors[size].detector.detect([image.frame])
             results.add(image, found)
@@ -148,17 +148,13 @@ class _Results:
             raise DroptrackError(f"{path}: cannot be written; is the disk full?")
 
 
-def read_images(sources: tuple[str, ...]) -> Iterator[Image]:
+def read_images(sources: tuple[str, ...], reading: ReadOptions) -> Iterator[Image]:
     """Every image of the sources. Raises DroptrackError for what cannot be read, or holds none."""
     n = 0
     for file in _files(sources):
-        if file.suffix.lower() in IMAGE_SUFFIXES:
-            yield Image(file, 0, _read_image(file))
+        for number, frame in Video(str(file), reading).numbered():
+            yield Image(file, number, frame)
             n += 1
-        else:
-            for number, frame in Video(str(file)).numbered():
-                yield Image(file, number, frame)
-                n += 1
     if not n:
         raise DroptrackError("name an image, a folder of images, or a video")
 
@@ -173,14 +169,16 @@ def _files(sources: tuple[str, ...]) -> Iterator[Path]:
         yield from files
 
 
-def _samples(sources: tuple[str, ...], like: Image) -> list[Frame]:
+def _samples(config: ImagesConfig, like: Image) -> list[Frame]:
     """Some frames of an image's video; or some of all images of its size, that one first."""
-    if like.source.suffix.lower() not in IMAGE_SUFFIXES:
-        return sample_frames(Video(str(like.source)), N_SAMPLES)
+    video = Video(str(like.source), config.reading)
+    if like.source.suffix.lower() not in IMAGE_SUFFIXES or video.info.n_frames > 1:
+        return sample_frames(video, N_SAMPLES)
     size = like.frame.shape[1::-1]
-    alike = [file for file in _files(sources) if file != like.source and _image_size(file) == size]
+    files = [file for file in _files(config.sources) if file.suffix.lower() in IMAGE_SUFFIXES]
+    alike = [file for file in files if file != like.source and _image_size(file) == size]
     others = [alike[number] for number in spread(len(alike), N_SAMPLES - 1)]
-    frames = [like.frame, *(_read_image(file) for file in others)]
+    frames = [like.frame, *(Video(str(file), config.reading).samples()[0] for file in others)]
     return [frame for frame in frames if frame.shape == like.frame.shape]
 
 
@@ -201,14 +199,6 @@ def at_edge(boxes: Floats, size: tuple[int, int]) -> Bools:
     """
     low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
     return np.asarray((low < EDGE_PX).any(axis=1) | (high > np.array(size) - EDGE_PX).any(axis=1))
-
-
-def _read_image(path: Path) -> Frame:
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        reason = "cannot be decoded as an image" if path.exists() else "no such file"
-        raise DroptrackError(f"{path}: {reason}")
-    return as_frame(image)
 
 
 def _table(image: Image, found: Detections, cut: Bools) -> Iterator[list[object]]:
@@ -248,6 +238,7 @@ def _settings(
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,
+        "grey_levels": "" if config.reading.levels is None else str(config.reading.levels),
         "region": config.region or "",
         "diameters": "sqrt(w h) of the boxes of droplets that no edge cuts",
     }

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
 from math import ceil
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.run import TrackingRun
 from droptrack.tracking.appearance import describe_sizes
 from droptrack.tracking.choice import make_tracker
@@ -56,25 +58,38 @@ def track_detections(
     descriptors_of: DescriptorsOf | None,
     tracker: Tracker,
     results: Results,
+    *,
+    first: int = 0,
 ) -> Iterator[int]:
     """Track frame by frame into `results`; yields the number of frames done.
 
-    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them. `descriptors_of`
-    gives the unit descriptors of rows; without, they are the detections' sizes.
+    `frames`: detections and their rows, as `mot_files.DetectionFile` gives them, from the frame
+    `first` on, which counts from 0. `descriptors_of` gives the unit descriptors of rows; without,
+    they are the detections' sizes.
     """
     session = TrackingSession(tracker)
     try:
-        for index, (found, rows) in enumerate(frames):
+        for index, (found, rows) in enumerate(frames, first):
             if descriptors_of is None:
                 descriptors = describe_sizes(found.boxes)
             else:
                 descriptors = descriptors_of(rows)
             results.write(session.add_boxes(index, found, descriptors))
             results.n_frames += 1
+            results.last_frame = index
             results.n_detections += len(found)
             yield results.n_frames
     finally:
         results.finish(session.finish())
+
+
+def _above(
+    frames: Iterable[tuple[Detections, NDArray[np.int64]]], score: float | None
+) -> Iterator[tuple[Detections, NDArray[np.int64]]]:
+    """Frames without the detections below a score."""
+    for found, rows in frames:
+        keep = found.scores >= (-np.inf if score is None else score)
+        yield found[keep], rows[keep]
 
 
 def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRun:
@@ -95,19 +110,22 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
             "are sorted by frame first"
         )
     folder = config.folder
-    folder.mkdir(parents=True, exist_ok=True)
+    prepare_folder(folder, str(config.detections), overwrite=config.overwrite)
     about: dict[str, Value] = {
         "made by": f"droptrack {__version__}, droptrack.track",
-        "detections": f"{config.detections}, {frames.n_frames} frames",
+        "detections": f"{whole_name(str(config.detections))}, {frames.n_frames} frames",
         "units": "px, y points down; frames count from 0, one less than in the detections",
     }
     began = time.perf_counter()
     with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
         results = Results(rows)
-        for _ in track_detections(frames, descriptors_of, tracker, results):
+        wanted = islice(_above(frames, config.score), config.max_frames or None)
+        first = frames.first_frame - 1
+        for _ in track_detections(wanted, descriptors_of, tracker, results, first=first):
             pass
     seconds = time.perf_counter() - began
-    report = summarise(results, {**about, **tracker_settings}, 0, seconds)
+    settings = {**about, "score": config.score, **tracker_settings}
+    report = summarise(results, settings, 0, seconds)
     size = (max(1, ceil(frames.right)), max(1, ceil(frames.bottom)))
     write_report(folder, report, results.paths, size)
     return TrackingRun(folder, report)

@@ -6,18 +6,25 @@ decoded, and those before are drawn and written. Order is kept, and what waits i
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import islice
 from time import perf_counter
 
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector
+from droptrack.interrupts import whole
 from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
+from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
 from droptrack.tracking.appearance import DescriptorExtractor
 from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.tracker import Tracker
+
+
+def _as_it_is(found: list[Detections]) -> list[Detections]:
+    return found
 
 
 class FrameTracker:
@@ -44,6 +51,7 @@ class FrameTracker:
             centres, measured = centres_of_mass(frame, detections.boxes)
             final = session.add(index, detections, centres, measured, descriptors)
         results.n_frames += 1
+        results.last_frame = index
         results.n_detections += len(detections)
         results.n_measured += int(measured.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)
@@ -65,12 +73,14 @@ def track_frames(
     *,
     batch: int = 1,
     live: bool = False,
+    log: DetectionLog | None = None,
 ) -> Iterator[int]:
     """Detect and track numbered frames into `results`; yields the number of frames done.
 
     `live`: no frame waits for others. When one is done, the newest goes next, and those that came
     in between are dropped, so that a frame is never older than two take. Otherwise every frame is
-    tracked, `batch` at once through the network.
+    tracked, `batch` at once through the network. `log` has the detections of an earlier run, and
+    gets those of this one.
     """
     frame_tracker = FrameTracker(tracker, describe, results, live=live)
     running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
@@ -85,7 +95,10 @@ def track_frames(
             running.clear()  # nothing goes on from here
             raise
         for item, detections in zip(items, found, strict=True):
-            frame_tracker.add(item, detections)
+            with whole():
+                if log is not None:
+                    log.add(item.number, detections)
+                frame_tracker.add(item, detections)
         return results.n_frames
 
     try:
@@ -96,7 +109,11 @@ def track_frames(
             source = iter(reader)
             while items := list(islice(source, 1 if live else batch)):
                 images = [item.frame for item in items]
-                running.append((items, detector.start(images, results.times)))
+                known = None if log is None else log.find([item.number for item in items])
+                if known is None:
+                    running.append((items, detector.start(images, results.times)))
+                else:
+                    running.append((items, partial(_as_it_is, known)))
                 results.n_dropped = reader.n_dropped
                 if len(running) > max_running:
                     yield finish_oldest()
@@ -107,4 +124,5 @@ def track_frames(
             finish_oldest()
         raise
     finally:
-        frame_tracker.finish()
+        with whole():
+            frame_tracker.finish()

@@ -30,6 +30,7 @@ class Results:
     video: AnnotatedVideo | None = None
     times: StageTimes = field(default_factory=StageTimes)
     n_frames: int = 0
+    last_frame: int = -1  # its number
     n_dropped: int = 0  # frames of a live source that came while others were at work
     n_measured: int = 0  # detections whose centre of mass could be measured
     n_detections: int = 0

@@ -2,30 +2,40 @@
 
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 
+from droptrack.data.levels import EIGHT_BITS
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames
+from droptrack.data.sources.opencv_names import printable
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
-from droptrack.data.video import Video, VideoWriter
+from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
 from droptrack.errors import DroptrackError
+from droptrack.interrupts import whole
+from droptrack.network.darknet_cfg import cfg_text
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.doubts import doubts
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.progress import progress_bar
 from droptrack.tracking.appearance import DescriptorExtractor
 from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
+
+OF_DETECTIONS = ("backend", "network_size", "scale", "score", "max_iou", "dark", "grey_levels")
+MAX_RATE_ERROR = 0.001  # frames a second, of the annotated video, that need not be said
 
 
 @dataclass(frozen=True)
@@ -70,27 +80,31 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     """
     opened = _open(config, say)
     folder = _make_folder(config)
+    for note in opened.source.notes:
+        say(printable(note))
     about = _about(config, opened)
     info, network = opened.source.info, opened.network.cfg
     say(
-        f"{config.video}: {network.path.stem}, {network.width} x {network.height} px, on "
-        f"{opened.network.detector.engine.name}"
+        f"{printable(config.video)}: {network.path.stem}, {network.width} x {network.height} px, "
+        f"on {opened.network.detector.engine.name}"
     )
     began = time.perf_counter()
-    results, problem = _track(config, opened, folder, about, progress=progress)
-    total = opened.n_frames(config.max_frames)
-    n_missing = 0 if opened.live or problem else max(0, total - results.n_frames)
+    results, problem = _track(config, opened, folder, about, say, progress=progress)
+    n_missing = opened.source.n_lost
+    if not (opened.live or opened.source.live):
+        n_missing = _n_missing(config, opened.source, results, problem)
     settings = {**about, **_settings(config, opened)}
     seconds = time.perf_counter() - began
     odd = doubts(results.paths.each(), results.n_frames, network, opened.network.scale)
     report = summarise(results, settings, n_missing, seconds, odd)
-    write_report(folder, report, results.paths, (info.width, info.height))
+    with whole():
+        write_report(folder, report, results.paths, (info.width, info.height))
     if problem is not None:
         problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
     else:
-        _say_what_is_odd(config, results, n_missing, total, say)
+        _say_what_is_odd(config, opened.source, results, n_missing, say)
         for doubt in odd:
-            say(f"{config.video}: {doubt}")
+            say(f"{printable(config.video)}: {doubt}")
     return TrackingRun(folder, report, problem)
 
 
@@ -98,7 +112,7 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
     """Everything that can refuse to work, before anything is written."""
     tracker, tracker_settings = make_tracker(config.tracker)
     describe = choose_descriptor(config.tracker)
-    source = Video(config.video)
+    source = Video(config.video, config.reading)
     live = source.live if config.live is None else config.live
     frames = source.info
     size = (frames.width, frames.height)
@@ -120,16 +134,23 @@ def _make_folder(config: TrackingConfig) -> Path:
         raise DroptrackError(
             f"{config.video}: would be overwritten by the results; choose another --out"
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    prepare_folder(folder, config.video, overwrite=config.overwrite, resume=config.resume)
     return folder
 
 
 def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     """What made the results, for the first lines of their table."""
-    info = opened.source.info
+    source, info = opened.source, opened.source.info
+    further: dict[str, Value] = {}
+    if source.pixel_size_um:
+        further["pixel size"] = f"{source.pixel_size_um:g} um"
+    if source.levels is not EIGHT_BITS:
+        further["grey levels"] = str(source.levels)
     return {
         "made by": f"droptrack {__version__}, droptrack.track",
-        "video": f"{config.video}, {info.width} x {info.height} px, {info.fps:g} frames/s",
+        "video": f"{whole_name(config.video)}, {info.width} x {info.height} px, "
+        f"{info.fps:g} frames/s",
+        **further,
         "network": f"{opened.network.cfg.path}, {opened.network.weights}",
         "weights sha256": sha256_of(opened.network.weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
@@ -143,6 +164,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "network_size": [opened.network.cfg.width, opened.network.cfg.height],
         **opened.network.scale_settings,
         "live": opened.live,
+        "grey_levels": str(opened.source.levels),
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,
@@ -156,17 +178,23 @@ def _track(
     opened: _Opened,
     folder: Path,
     about: Mapping[str, Value],
+    say: Say,
     *,
     progress: bool,
 ) -> tuple[Results, DroptrackError | None]:
     """Track frame by frame into the folder's files; also tells what ended it too early."""
     problem: DroptrackError | None = None
     times = StageTimes()
-    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
+    with (
+        _detection_log(config, opened, folder, say) as log,
+        TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows,
+    ):
         video: AnnotatedVideo | None = None
         if config.annotated_video:
-            writer = VideoWriter(folder / "tracked.mp4", opened.source.info, "mp4v")
-            video = AnnotatedVideo(writer, times)
+            try:
+                video = AnnotatedVideo(_annotated_video(folder, opened.source.info, say), times)
+            except DroptrackError as error:  # the analysis does not depend on it
+                problem = error
         results = Results(rows, video, times)
         done = track_frames(
             islice(opened.source.numbered(), config.max_frames or None),
@@ -176,19 +204,75 @@ def _track(
             results,
             batch=config.batch,
             live=opened.live,
+            log=log,
         )
         try:
             _show_progress(done, opened.n_frames(config.max_frames), shown=progress)
         except KeyboardInterrupt:
             problem = DroptrackError(f"interrupted after {results.n_frames} frames")
         except DroptrackError as error:
-            problem = error
+            problem = problem or error
+        if problem is None and opened.source.live and not _stopped_as_asked(config, results):
+            problem = DroptrackError(
+                f"{printable(config.video)}: ended after {results.n_frames} frames, though nobody "
+                "asked for it"
+            )
         try:
             if video is not None:
                 video.close()
         except DroptrackError as error:
             problem = problem or error
+        if problem is None and log is not None:
+            log.remove()
     return results, problem
+
+
+@contextmanager
+def _detection_log(
+    config: TrackingConfig, opened: _Opened, folder: Path, say: Say
+) -> Iterator[DetectionLog | None]:
+    """What a later run can resume this one from; None of a live source, which has no past."""
+    if opened.live or opened.source.live:
+        if config.resume:
+            raise DroptrackError(f"{printable(config.video)}: is live: it cannot be resumed")
+        yield None
+        return
+    made = {
+        "video": whole_name(config.video),
+        "bytes": _size(Path(config.video)),
+        "weights sha256": sha256_of(opened.network.weights),
+        "cfg": cfg_text(opened.network.cfg),
+        "batch": config.batch,
+        "max_frames": config.max_frames if config.batch > 1 else 0,  # cuts the last batch
+        "renumber": config.reading.renumber,
+        "channel": config.reading.channel,
+        **{key: value for key, value in _settings(config, opened).items() if key in OF_DETECTIONS},
+    }
+    with DetectionLog(folder, made, resume=config.resume) as log:
+        if log.n_frames:
+            say(f"{printable(config.video)}: resumed after {log.n_frames} frames")
+        yield log
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or the number of entries of a folder."""
+    return len(list(path.iterdir())) if path.is_dir() else path.stat().st_size
+
+
+def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
+    """Whether a run has done as many frames as it was to do."""
+    return results.n_frames == config.max_frames > 0
+
+
+def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
+    """A video for annotated frames, smaller or with another rate where MPEG-4 wants it."""
+    held, smaller = mpeg4_info(info)
+    path = folder / "tracked.mp4"
+    if smaller > 1:
+        say(f"{path}: is {held.width} x {held.height} px, as MPEG-4 has no larger images")
+    if abs(held.fps - info.fps) > MAX_RATE_ERROR:
+        say(f"{path}: plays {held.fps:g} frames/s, as MPEG-4 cannot hold {info.fps:g}")
+    return VideoWriter(path, held, "mp4v")
 
 
 def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:
@@ -201,20 +285,34 @@ def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:
             bar.update(task, completed=n, note=f"{rate:.1f} frames/s")
 
 
+def _n_missing(
+    config: TrackingConfig, source: Video, results: Results, problem: DroptrackError | None
+) -> int:
+    """Frames that could not be decoded, or are missing in a numbered sequence."""
+    stopped = problem is not None or _stopped_as_asked(config, results)
+    ends_known = source.counted and not stopped
+    n_all = max(results.last_frame + 1, source.info.n_frames if ends_known else 0)
+    return n_all - results.n_frames
+
+
 def _say_what_is_odd(
-    config: TrackingConfig, results: Results, n_missing: int, total: int, say: Say
+    config: TrackingConfig, source: Video, results: Results, n_missing: int, say: Say
 ) -> None:
     """Tell what a user might not expect of the results."""
-    if n_missing:
+    name = printable(config.video)
+    if source.n_lost:
+        say(f"{name}: about {source.n_lost} frames lost while the stream was away")
+    elif n_missing > source.n_absent:
+        claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
         say(
-            f"{config.video}: {n_missing} of the {total} frames it claims could not be decoded: it "
-            "is damaged, or ends early"
+            f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
+            f"{', or ends early' if source.counted else ''}"
         )
     if results.n_frames and not results.n_detections:
         shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")
         say(
-            f"{config.video}: no droplets found; if they are {shade} than what is around them, "
-            f"{cure} --dark"
+            f"{name}: no droplets found; if they are {shade} than what is around them, {cure} "
+            "--dark"
         )
     if results.n_dropped:
-        say(f"{config.video}: {results.n_dropped} frames dropped, newer ones were there")
+        say(f"{name}: {results.n_dropped} frames dropped, newer ones were there")

@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import NamedTuple, Self
 
 import cv2
+import numpy as np
 
 from droptrack.data.frames import Frame
 from droptrack.data.stage_times import StageTimes
@@ -126,6 +127,8 @@ class FrameReader:
 class AnnotatedVideo:
     """Draws and writes frames in a thread, so that the analysis goes on meanwhile.
 
+    Where the video is smaller than the frames, they are drawn first and then shrunk.
+
     It waits only when the writing falls READ_AHEAD frames behind.
     """
 
@@ -155,6 +158,10 @@ class AnnotatedVideo:
                 continue  # so that nobody waits for room in the queue
             try:
                 with self._times.measure("write"):
-                    self._writer.write(annotator.draw(*item))
+                    image = annotator.draw(*item)
+                    if image.shape[1::-1] != self._writer.size:
+                        shrunk = cv2.resize(image, self._writer.size, interpolation=cv2.INTER_AREA)
+                        image = np.asarray(shrunk, np.uint8)
+                    self._writer.write(image)
             except Exception as problem:  # noqa: BLE001  raised by `close`
                 self._problem = problem

@@ -94,7 +94,7 @@ def check_images(cfg: Cfg, data: DataSet) -> None:
 
 def _line(labels: Path, row: int) -> int:
     """The line, from 1, of a row of labels, from 0: some lines may be blank."""
-    lines = labels.read_text(encoding="utf-8").splitlines()
+    lines = labels.read_text(encoding="utf-8-sig").splitlines()
     return [number for number, line in enumerate(lines, start=1) if line.strip()][row]
 
 

@@ -12,7 +12,7 @@ from droptrack.data.darknet_dataset import DataSet, read_data_file
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.network_scores import mean_average_precision
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
-from droptrack.network.darknet_weights import read_weights
+from droptrack.network.darknet_weights import read_start
 from droptrack.progress import progress_bar
 from droptrack.training.checks import (
     check_for_darknet,
@@ -62,7 +62,7 @@ def prepare(config: TrainingConfig) -> TrainingRun:
     check_network(network, data)
     check_images(network, data)
     if config.weights is not None:
-        read_weights(config.weights, network)
+        read_start(config.weights, network)
     binary = _choose(config)
     if binary is None:
         run = _prepare_torch(config, network, data)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from droptrack.data.frames import as_frame, grey_plane
-from droptrack.data.video import Video, VideoInfo, VideoWriter
+from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
 from droptrack.errors import DroptrackError
 
 
@@ -34,8 +34,9 @@ def test_a_folder_of_images_is_read_by_the_numbers_in_the_names(tmp_path: Path) 
         cv2.imwrite(str(tmp_path / f"frame_{t}.png"), np.full((20, 30), t, np.uint8))
     (tmp_path / "notes.txt").write_text("not an image")
     video = Video(str(tmp_path))
-    assert video.info == VideoInfo(30, 20, 25.0, 4)
-    assert [int(frame[0, 0, 0]) for frame in video] == [1, 2, 9, 10]
+    assert video.info == VideoInfo(30, 20, 25.0, 10)
+    found = [(number, int(frame[0, 0, 0])) for number, frame in video.numbered()]
+    assert found == [(0, 1), (1, 2), (8, 9), (9, 10)]
 
 
 @pytest.mark.parametrize(
@@ -222,6 +223,88 @@ def test_a_video_that_the_disk_has_no_room_for_is_said_to_be_cut(
     printed = subprocess.run(arguments, capture_output=True, text=True, check=False).stdout
     assert name in printed
     assert "of 40 frames; is the disk full?" in printed
+
+
+@pytest.mark.parametrize(
+    ("fps", "held"),
+    [
+        *(
+            (1000 / 3, 333.33),
+            (211.222, 211.22),
+            (666.67, 666.7),
+            (20_000 / 3, 6667),
+            (29.97, 29.97),
+        ),
+        *((30_000 / 1001, 29.97), (1e5, 65_535), (1e6, 65_535), (0.5, 0.5), (1 / 60, 0.017)),
+        *((1e-5, 0.01), (65.536, 65.54)),
+    ],
+)
+def test_any_rate_gives_a_video_with_the_nearest_one(
+    tmp_path: Path, fps: float, held: float
+) -> None:
+    info, smaller = mpeg4_info(VideoInfo(64, 48, fps, 0))
+    assert info.fps == pytest.approx(held)
+    assert smaller == 1
+    with VideoWriter(tmp_path / "v.mp4", info, "mp4v") as video:
+        for _ in range(3):
+            video.write(np.zeros((48, 64, 3), np.uint8))
+    read = Video(str(tmp_path / "v.mp4"))
+    assert read.info.n_frames == 3
+    assert read.info.fps == pytest.approx(held, rel=1e-4)
+
+
+@pytest.mark.parametrize("size", [(8192, 40), (40, 20_000), (8191, 30)])
+def test_images_too_large_for_mpeg4_are_shrunk(tmp_path: Path, size: tuple[int, int]) -> None:
+    info, smaller = mpeg4_info(VideoInfo(*size, 25, 0))
+    assert max(info.width, info.height) <= 8190
+    assert info.width == max(2, size[0] // smaller // 2 * 2)
+    with VideoWriter(tmp_path / "v.mp4", info, "mp4v") as video:
+        video.write(np.zeros((info.height, info.width, 3), np.uint8))
+    assert Video(str(tmp_path / "v.mp4")).info.width == info.width
+
+
+def quarter_turned(path: Path, to: Path) -> None:
+    """A copy of a .mov whose track header says that it is to be turned by 90 degrees.
+
+    QuickTime File Format, "Track Header Atoms": the matrix a b u c d v x y w, in 16.16 and 2.30.
+    """
+    data = bytearray(path.read_bytes())
+    place = data.index(b"tkhd") + 4 + 40
+    one = (1 << 16).to_bytes(4, "big")
+    zero, minus = bytes(4), (-(1 << 16)).to_bytes(4, "big", signed=True)
+    assert data[place : place + 4] == one
+    data[place : place + 20] = zero + one + zero + minus + zero
+    to.write_bytes(data)
+
+
+@pytest.mark.parametrize("fourcc", ["mjpg", "mp4v"])
+@pytest.mark.parametrize("size", [(64, 48), (64, 64)])
+def test_a_turned_video_is_turned_upright(
+    tmp_path: Path, fourcc: str, size: tuple[int, int]
+) -> None:
+    """A bright top left corner comes to the top right one."""
+    image = np.zeros((size[1], size[0], 3), np.uint8)
+    image[:16, :16] = 250
+    code = cv2.VideoWriter.fourcc(*fourcc)
+    writer = cv2.VideoWriter(str(tmp_path / "v.mov"), cv2.CAP_FFMPEG, code, 25.0, size)
+    for _ in range(3):
+        writer.write(image)
+    writer.release()
+    quarter_turned(tmp_path / "v.mov", tmp_path / "turned.mov")
+    video = Video(str(tmp_path / "turned.mov"))
+    assert (video.info.width, video.info.height) == size[::-1]
+    frames = list(video)
+    assert len(frames) == 3
+    for frame in frames:
+        assert frame[8, -8, 0] > 200
+        assert frame[8, 8, 0] < 50
+
+
+def test_frames_of_a_container_that_estimates_them_are_not_missed(tmp_path: Path) -> None:
+    write_video(tmp_path / "v.avi")
+    write_video(tmp_path / "v.mkv", fourcc="mp4v")
+    assert Video(str(tmp_path / "v.avi")).counted
+    assert not Video(str(tmp_path / "v.mkv")).counted
 
 
 def test_frames_a_second_are_not_truncated(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from data_gen.scenes.scene_kinds import SCENES
 from droptrack.data.detections import Detections, iou_matrix, labels
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.data.stage_times import StageTimes
+from droptrack.detection import engine_choice
 from droptrack.detection.decoding import select
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
@@ -297,3 +299,27 @@ def test_sums_of_the_largest_bytes_do_not_overflow_in_int8() -> None:
     for frame in (white, grey_frame(white[..., 0])):
         (raw,) = engine.start(engine.prepare([frame])).result().outputs
         np.testing.assert_allclose(raw[0, :, 16, 16], 8 * 27, rtol=0.01)
+
+
+def test_an_opencv_without_darknet_is_named_and_gone_around(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As OpenCV 5 is, which other packages put over version 4."""
+    monkeypatch.delattr(cv2.dnn, "readNetFromDarknet")
+    network = Network(
+        read_cfg(find_cfg(BUNDLED_WEIGHTS)), BUNDLED_WEIGHTS, threshold=0.4, max_iou=0.3
+    )
+    with pytest.raises(
+        DroptrackError, match=r"cannot read Darknet's .* 'opencv-python-headless<5'"
+    ):
+        choose_detector(network, Backend.opencv)
+    installed = {"torch"}
+    monkeypatch.setattr(engine_choice, "_installed", lambda package: package in installed)
+    if importlib.util.find_spec("torch") is not None:
+        said: list[str] = []
+        detector = choose_detector(network, say=said.append)
+        assert detector.engine.name.startswith("torch")
+        assert any("cannot read Darknet's networks" in line for line in said)
+    installed.clear()
+    with pytest.raises(DroptrackError, match="cannot read Darknet's networks"):
+        choose_detector(network)

@@ -13,7 +13,13 @@ from droptrack.network.darknet_cfg import (
     with_options,
     yolo_heads,
 )
-from droptrack.network.darknet_weights import WEIGHTS_VERSION, Weights, read_weights, write_weights
+from droptrack.network.darknet_weights import (
+    WEIGHTS_VERSION,
+    Weights,
+    read_start,
+    read_weights,
+    write_weights,
+)
 
 CFG_FOLDER = Path(__file__).parents[2] / "darknet_cfg"
 
@@ -161,3 +167,17 @@ def test_a_cfg_that_cannot_work_is_refused_with_the_place(
     with pytest.raises(DroptrackError, match=problem) as caught:
         read_cfg(small)
     assert "small.cfg" in str(caught.value)
+
+
+def test_the_first_layers_alone_start_a_training_but_find_nothing(
+    small: Path, tmp_path: Path
+) -> None:
+    """The first convolution: 4 x 4 + 4 x 27 = 124 of 214 values."""
+    cfg = read_cfg(small)
+    path = tmp_path / "small.conv.1"
+    write_weights(path, Weights(WEIGHTS_VERSION, 0, np.arange(124, dtype=np.float32)))
+    assert read_start(path, cfg).values.tolist() == list(range(124))
+    with pytest.raises(DroptrackError, match="has the first 1 layers only"):
+        read_weights(path, cfg)
+    with pytest.raises(DroptrackError, match="does not fit"):
+        read_start(path.rename(tmp_path / "small.conv.2"), cfg)

@@ -1,6 +1,7 @@
 """Tracking a file of detections: no video, no network."""
 
 import json
+import time
 import tracemalloc
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from droptrack.data.detections import labels
 from droptrack.data.mot_files import BLOCK, MERGE_BLOCK, open_detections, write_detections
 from droptrack.data.trajectories import read_trajectories
 from droptrack.errors import DroptrackError
-from droptrack.pipeline.from_detections import open_descriptors
+from droptrack.pipeline.config import DetectionsConfig
+from droptrack.pipeline.from_detections import open_descriptors, run_detections
 
 TWO = [[20.0, 30, 10, 12], [60.0, 30, 14, 10]]
 
@@ -212,9 +214,9 @@ def test_an_unsorted_file_is_tracked_like_the_sorted_one_and_says_so(tmp_path: P
     for file in (path, shuffled):
         np.save(looks, descriptors if file is path else descriptors[order])
         options = ["--detections", str(file), "--descriptors", str(looks)]
-        output = track(*options, "--out", str(tmp_path / "out"))
+        output = track(*options, "--out", str(tmp_path / file.stem))
         assert (f"row {early} belongs before the one above it" in output) == (file is shuffled)
-        rows[file] = read_trajectories(tmp_path / "out" / "trajectories.csv")[0]
+        rows[file] = read_trajectories(tmp_path / file.stem / "trajectories.csv")[0]
     # who is 1 and who is 2 is a matter of the rows' order
     for name in ("frame", "x", "y", "scores"):
         ours, theirs = (
@@ -265,3 +267,19 @@ def test_an_expected_velocity_tells_which_way_a_train_goes(tmp_path: Path) -> No
         assert np.median(np.concatenate(steps)) == pytest.approx(step, abs=0.5)
     options = ("--detections", str(path), "--out", str(tmp_path / "x"), "--expect-velocity")
     assert "such as 24,-1.5" in fails(*options, "fast")
+
+
+def test_frames_before_the_first_detection_take_no_time(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "".join(f"{5_000_000 + t},-1,9,9,8,8,1\n" for t in range(1, 30)))
+    began = time.perf_counter()
+    run = run_detections(DetectionsConfig(detections=path, out=tmp_path / "out"))
+    assert time.perf_counter() - began < 20  # a minute and more, one by one
+    assert run.trajectories.frame.tolist() == list(range(5_000_000, 5_000_029))
+    assert run.report.summary["n_frames"] == 29
+
+
+def test_a_mark_before_the_text_is_no_part_of_it(tmp_path: Path) -> None:
+    """Notepad's, before UTF-8."""
+    path = tmp_path / "det.txt"
+    path.write_bytes(b"\xef\xbb\xbf1,-1,9,9,8,8,1\n")
+    assert open_detections(path).n_rows == 1

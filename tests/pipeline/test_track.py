@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from data_gen.scenes.scene_kinds import SCENES
@@ -26,6 +27,7 @@ from droptrack.measurement.centre_of_mass import centres_of_mass
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
 from droptrack.pipeline import loop as pipeline
+from droptrack.pipeline.config import TrackingConfig
 
 runner = CliRunner()
 
@@ -268,3 +270,138 @@ def test_a_full_disk_is_said_in_one_line(sine: Path, tmp_path: Path) -> None:
     (tmp_path / "trajectories.csv").symlink_to("/dev/full")
     message = fails("track", str(sine / "video.avi"), "--out", str(tmp_path), "--no-video")
     assert "No space left" in message
+
+
+def test_a_missing_number_is_a_missing_frame_everywhere(sine: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for t, frame in zip(range(12), Video(str(sine / "video.avi")), strict=False):
+        if t not in (6, 7):
+            cv2.imwrite(str(folder / f"frame_{t + 5:04d}.png"), frame[..., 0])
+    output = track(folder, tmp_path / "out")
+    assert "2 of the numbers 5 to 16 are missing, the first is 11" in output
+    assert "damaged" not in output
+    truth, _ = read_trajectories(sine / "truth.csv")
+    rows, _ = read_trajectories(tmp_path / "out" / "trajectories.csv")
+    report = evaluate(truth[truth.frame < 12], rows, 600)
+    assert_all_found(report, 12)
+    assert (~rows.observed[np.isin(rows.frame, (6, 7))]).all()
+    summary = json.loads((tmp_path / "out" / "report.json").read_text())["summary"]
+    assert (summary["n_frames"], summary["n_frames_missing"]) == (10, 2)
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+def test_droplets_of_cameras_with_more_bits_are_found(
+    sine: Path, tmp_path: Path, bits: int
+) -> None:
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for t, frame in zip(range(4), Video(str(sine / "video.avi")), strict=False):
+        cv2.imwrite(str(folder / f"{t}.tif"), frame[..., 0].astype(np.uint16) << (bits - 8))
+    track(folder, tmp_path / "out", "--no-video")
+    rows, about = read_trajectories(tmp_path / "out" / "trajectories.csv")
+    assert len(rows) == 4 * 12
+    assert about["grey levels"] == f"0 to {2**bits - 1}, {bits} bits, as its values show"
+
+
+def test_results_of_another_video_are_never_overwritten(sine: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        shutil.copy(sine / "video.avi", tmp_path / name / "video.avi")
+    out, short = str(tmp_path / "out"), ("--max-frames", "3", "--no-video")
+    track(tmp_path / "a" / "video.avi", tmp_path / "out", *short)
+    before = (tmp_path / "out" / "trajectories.csv").read_bytes()
+    other = ("track", str(tmp_path / "b" / "video.avi"), "--out", out, *short)
+    for options in ((), ("--overwrite",)):
+        assert f"it has results of {tmp_path / 'a' / 'video.avi'}, 1200 x 600 px" in fails(
+            *other, *options
+        )
+    same = ("track", str(tmp_path / "a" / "video.avi"), "--out", out, *short)
+    assert "--overwrite replaces them" in fails(*same)
+    assert (tmp_path / "out" / "trajectories.csv").read_bytes() == before
+    track(tmp_path / "a" / "video.avi", tmp_path / "out", *short, "--overwrite")
+
+
+@pytest.mark.parametrize(
+    ("video", "folder"),
+    [
+        ("exp_1.5mm.avi", "exp_1.5mm"),
+        ("exp_1.5mm", "exp_1.5mm"),
+        ("run.v2/stack.ome.tif", "stack"),
+        ("rtsp://camera:554/live.sdp", "camera_554_live.sdp"),
+        ("a_*.png", "a__"),
+        ("0", "0"),
+        ("..", "parent.dir"),
+        (".", "this.one"),
+    ],
+)
+def test_results_have_the_name_of_what_they_come_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, video: str, folder: str
+) -> None:
+    here = tmp_path / "parent.dir" / "this.one"
+    here.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    assert TrackingConfig(video=video).folder == Path("tracks") / folder
+
+
+def test_options_that_would_change_nothing_are_refused(sine: Path, tmp_path: Path) -> None:
+    boxes = tmp_path / "det.txt"
+    boxes.write_text("".join(f"{t},-1,{t},5,20,20,{s}\n" for t in range(1, 9) for s in (0.9, 0.2)))
+    base = ("track", "--detections", str(boxes), "--out", str(tmp_path / "out"))
+    for option in (
+        *(("--weights", "a.weights"), ("--cfg", "a.cfg"), ("--max-iou", "0.3"), ("--dark",)),
+        *(("--backend", "opencv"), ("--precision", "fp32"), ("--size", "64x64"), ("--scale", "1")),
+        *(("--diameter", "9"), ("--live",), ("--batch", "2"), ("--no-video",), ("--renumber",)),
+        *(("--levels", "0", "9"), ("--channel", "1"), ("--nn-budget", "9")),
+    ):
+        assert f"droptrack: {option[0]} is of" in fails(*base, *option)
+    assert not (tmp_path / "out").exists()
+    video = ("track", str(sine / "video.avi"), "--out", str(tmp_path / "out"))
+    assert "--max-iou-distance is of" in fails(*video, "--max-iou-distance", "0.5")
+    assert "--appearance-size is of" in fails(*video, "--appearance-size", "8", "8")
+    deep = ("--tracker", "deepsort", "--expect-velocity", "1,1")
+    assert "--expect-velocity is of" in fails(*video, *deep)
+    assert not (tmp_path / "out").exists()
+
+
+def test_score_and_number_of_frames_are_applied_to_detections(tmp_path: Path) -> None:
+    boxes = tmp_path / "det.txt"
+    boxes.write_text(
+        "".join(
+            f"{t},-1,{x},5,20,20,{s}\n" for t in range(1, 30) for x, s in ((9, 0.9), (300, 0.2))
+        )
+    )
+    for out, options, expected in (
+        ("all", (), (29, 2)),
+        ("some", ("--score", "0.5", "--max-frames", "20"), (20, 1)),
+    ):
+        arguments = ["track", "--detections", str(boxes), "--out", str(tmp_path / out), *options]
+        assert runner.invoke(app, arguments).exit_code == 0
+        rows, _ = read_trajectories(tmp_path / out / "trajectories.csv")
+        assert (rows.frame.max() + 1, len(np.unique(rows.track_id))) == expected
+
+
+def test_the_analysis_does_not_depend_on_the_annotated_video(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A frame 10,000 px wide, at 20000/3 frames a second."""
+    frames = np.zeros((2, 100, 10_000), np.uint8)
+    tifffile.imwrite(
+        tmp_path / "wide.tif", frames, imagej=True, metadata={"axes": "TYX", "fps": 20_000 / 3}
+    )
+    options = ("--size", "960x32", "--backend", "opencv")
+    output = track(tmp_path / "wide.tif", tmp_path / "out", *options)
+    assert "is 5000 x 50 px" in output
+    assert "plays 6667 frames/s" in output
+    assert "10000 x 100 px, 6666.67 frames/s" in (tmp_path / "out" / "trajectories.csv").read_text(
+        encoding="utf-8"
+    )
+    assert len(list(Video(str(tmp_path / "out" / "tracked.mp4")))) == 2
+
+    def fail(*_: object) -> None:
+        raise DroptrackError("tracked.mp4: cannot be written")
+
+    monkeypatch.setattr("droptrack.pipeline.run.VideoWriter", fail)
+    said = fails("track", str(tmp_path / "wide.tif"), "--out", str(tmp_path / "no"), *options)
+    assert "cannot be written" in said
+    assert json.loads((tmp_path / "no" / "report.json").read_text())["summary"]["n_frames"] == 2

@@ -25,10 +25,15 @@ def has_cuda() -> bool:
     return bool(cv2.dnn.getAvailableTargets(cv2.dnn.DNN_BACKEND_CUDA))
 
 
+def reads_darknet() -> bool:
+    """Whether this OpenCV reads Darknet's networks: 4 does, 5 does not any more."""
+    return hasattr(cv2.dnn, "readNetFromDarknet")
+
+
 class OpenCvEngine(InThread):
     """A network in OpenCV; `backend` is ``opencv`` or ``opencv-cuda``.
 
-    Raises DroptrackError for CUDA that is not there.
+    Raises DroptrackError for CUDA that is not there, and for an OpenCV that is too new.
     """
 
     opencv_threads = sys.maxsize
@@ -40,6 +45,13 @@ class OpenCvEngine(InThread):
             raise DroptrackError(
                 "--backend opencv-cuda: this OpenCV is built without CUDA (as are its packages on "
                 "PyPI); use --backend opencv, or install an OpenCV built with CUDA"
+            )
+        if not reads_darknet():
+            raise DroptrackError(
+                f"--backend {backend}: OpenCV {cv2.__version__} cannot read Darknet's networks; "
+                "some package has put it over version 4; to mend it: pip uninstall -y "
+                "opencv-python opencv-contrib-python opencv-python-headless; then pip install "
+                "'opencv-python-headless<5'"
             )
         self.name = f"{backend} {precision}"
         self._size = (cfg.width, cfg.height)

@@ -13,8 +13,8 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from droptrack.errors import DroptrackError
-from droptrack.network.darknet_weights import read_weights
-from droptrack.network.torch_network import DarknetNetwork, load_values
+from droptrack.network.darknet_weights import read_start
+from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training.log import Step, TrainingLog, diverged, running_average
 from droptrack.training.pytorch.checkpoint import restore, save_checkpoint, save_weights
 from droptrack.training.pytorch.devices import mean_over_ranks, other_ranks
@@ -114,7 +114,10 @@ class Learner:
         self.network = DarknetNetwork(job.cfg).to(self.device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         if job.start is not None:
-            load_values(self.network, read_weights(job.start, job.cfg).values)
+            values = dump_values(self.network)
+            start = read_start(job.start, job.cfg).values
+            values[: len(start)] = start
+            load_values(self.network, values)
         self.optimizer = make_optimizer(self.network, job.cfg, settings)
         self.first = 0  # iterations done before
         if job.resume:

@@ -17,6 +17,7 @@ from droptrack.options import (
     PrecisionOption,
     ScaleOption,
     ScoreOption,
+    ShapeOption,
     SizeOption,
     WeightsOption,
 )
@@ -43,6 +44,7 @@ def main(
     score: ScoreOption = MIN_SCORE,
     max_iou: MaxIouOption = MAX_IOU,
     dark: DarkOption = False,
+    shape: ShapeOption = True,
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Write no annotated images.")
     ] = False,
@@ -61,6 +63,7 @@ def main(
         score=score,
         max_iou=max_iou,
         dark=dark,
+        shape=shape,
         annotated=not no_images,
     )
     done = detect_images(config, functools.partial(typer.echo, err=True))

@@ -36,6 +36,9 @@ ScoreOption = Annotated[float, typer.Option(min=0, max=1, help="Minimum score of
 MaxIouOption = Annotated[
     float, typer.Option(min=0, max=1, help="IoU above which two boxes are one droplet.")
 ]
+ShapeOption = Annotated[
+    bool, typer.Option("--shape/--no-shape", help="Measure outlines: sizes and shapes.")
+]
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]

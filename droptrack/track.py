@@ -19,6 +19,7 @@ from droptrack.options import (
     PrecisionOption,
     ScaleOption,
     ScoreOption,
+    ShapeOption,
     SizeOption,
     WeightsOption,
 )
@@ -66,6 +67,7 @@ def main(
     score: ScoreOption = MIN_SCORE,
     max_iou: MaxIouOption = MAX_IOU,
     dark: DarkOption = False,
+    shape: ShapeOption = True,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
@@ -147,6 +149,7 @@ def main(
             score=score,
             max_iou=max_iou,
             dark=dark,
+            shape=shape,
             batch=batch,
             max_frames=max_frames,
             annotated_video=not no_video,

@@ -19,6 +19,7 @@ class DetectorConfig:
     the frames, from which the scale follows; without, the input is as large as the network's own,
     and has the frames' shape. `score`: the minimum score of a droplet. `max_iou`: the IoU above
     which two boxes are one droplet. `dark`: droplets are darker than their surroundings.
+    `shape`: measure the droplets' outlines, for their sizes and shapes.
     """
 
     weights: Path | None = None
@@ -31,6 +32,7 @@ class DetectorConfig:
     score: float = MIN_SCORE
     max_iou: float = MAX_IOU
     dark: bool = False
+    shape: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)

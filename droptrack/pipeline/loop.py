@@ -12,11 +12,12 @@ from time import perf_counter
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector
-from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
+from droptrack.measurement.droplets import load_loops, measure_droplets
+from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
 from droptrack.tracking.appearance import DescriptorExtractor
-from droptrack.tracking.session import TrackingSession
+from droptrack.tracking.session import Recordable, TrackingSession
 from droptrack.tracking.tracker import Tracker
 
 
@@ -30,8 +31,10 @@ class FrameTracker:
         results: Results,
         *,
         live: bool = False,
+        shape: bool = False,
     ) -> None:
-        self._session = TrackingSession(tracker, live=live)
+        self._session = TrackingSession(tracker, live=live, further=SHAPE if shape else ())
+        self._shape = shape
         self._describe, self._results = describe, results
         load_loops()  # now, not while the first frame waits
 
@@ -41,11 +44,18 @@ class FrameTracker:
         index, frame, decoded = item
         with results.times.measure("track"):
             descriptors = self._describe(frame, detections.boxes)
-            centres, measured = centres_of_mass(frame, detections.boxes)
-            final = session.add(index, detections, centres, measured, descriptors)
+            found = measure_droplets(frame, detections.boxes, shape=self._shape)
+            final = session.add(
+                index,
+                detections,
+                found.centres,
+                found.measured,
+                descriptors,
+                Recordable(found.boxes, found.shapes),
+            )
         results.n_frames += 1
         results.n_detections += len(detections)
-        results.n_measured += int(measured.sum())
+        results.n_measured += int(found.measured.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, session)
         results.write(final)
@@ -65,14 +75,15 @@ def track_frames(
     *,
     batch: int = 1,
     live: bool = False,
+    shape: bool = False,
 ) -> Iterator[int]:
     """Detect and track numbered frames into `results`; yields the number of frames done.
 
     `live`: no frame waits for others. When one is done, the newest goes next, and those that came
     in between are dropped, so that a frame is never older than two take. Otherwise every frame is
-    tracked, `batch` at once through the network.
+    tracked, `batch` at once through the network. `shape`: measure sizes and shapes, too.
     """
-    frame_tracker = FrameTracker(tracker, describe, results, live=live)
+    frame_tracker = FrameTracker(tracker, describe, results, live=live, shape=shape)
     running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
     engine = detector.engine
     max_running = 0 if live else 2 * engine.parallel  # so that the network waits for nobody

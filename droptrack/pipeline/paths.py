@@ -16,22 +16,32 @@ MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
 
 @dataclass(kw_only=True)
 class DropletPath:
-    """One droplet's path; `points` are x, y of its line for drawing."""
+    """One droplet's path; `points` are x, y of its line for drawing.
+
+    Lengths and lines are those of the frames in which no edge cuts the droplet.
+    """
 
     first_frame: int
     last_frame: int
-    x: float
-    y: float
+    first_whole: int | None = None
+    last_whole: int = 0
+    x: float = nan  # in the last frame in which it was whole
+    y: float = nan
     n_observed: int = 0
     n_bridged: int = 0
+    n_diameters: int = 0
     diameters_px: float = 0.0  # their sum
     length_px: float = 0.0
     step_px: float = DRAWN_STEP_PX
     points: "array[float]" = field(default_factory=lambda: array("f"))
 
-    def add(self, last_frame: int, xs: list[float], ys: list[float]) -> None:
-        """Go on through later positions to a later frame."""
-        self.last_frame = last_frame
+    def add(self, frames: list[int], xs: list[float], ys: list[float]) -> None:
+        """Go on through later positions."""
+        if not frames:
+            return
+        if self.first_whole is None:
+            self.first_whole, self.x, self.y = frames[0], xs[0], ys[0]
+        self.last_whole = frames[-1]
         for x, y in zip(xs, ys, strict=True):
             self.length_px += hypot(x - self.x, y - self.y)
             self.x, self.y = x, y
@@ -52,29 +62,33 @@ class Paths:
     def add(self, rows: Trajectories) -> None:
         """Take rows that follow on those before."""
         order = np.argsort(rows.track_id, kind="stable")
-        frames, xs, ys = (column[order].tolist() for column in (rows.frame, rows.x, rows.y))
         ids, starts = np.unique(rows.track_id[order], return_index=True)
-        diameters = np.add.reduceat(np.sqrt(rows.boxes[order, 2] * rows.boxes[order, 3]), starts)
+        frames = rows.frame[order].tolist()
+        whole = rows.columns.get("at_edge", np.zeros(len(rows)))[order] != 1
+        diameter = rows.columns.get("diameter_px", np.sqrt(rows.boxes[:, 2:].prod(axis=1)))[order]
+        known = np.isfinite(diameter)
+        diameters = np.add.reduceat(np.where(known, diameter, 0), starts).tolist()
+        n_known = np.add.reduceat(known, starts, dtype=np.int64).tolist()
         observed = np.add.reduceat(rows.observed[order], starts, dtype=np.int64)
         ends = [*starts[1:].tolist(), len(rows)]
-        for track_id, start, end, n_observed, diameters_px in zip(
-            ids.tolist(), starts.tolist(), ends, observed.tolist(), diameters.tolist(), strict=True
+        for k, (track_id, start, end) in enumerate(
+            zip(ids.tolist(), starts.tolist(), ends, strict=True)
         ):
-            one = slice(start, end)
-            born = DropletPath(
-                first_frame=frames[start], last_frame=frames[start], x=xs[start], y=ys[start]
-            )
+            born = DropletPath(first_frame=frames[start], last_frame=frames[start])
             path = self._paths.setdefault(track_id, born)
-            path.add(frames[end - 1], xs[one], ys[one])
-            path.n_observed += n_observed
-            path.n_bridged += end - start - n_observed
-            path.diameters_px += diameters_px
+            path.last_frame = frames[end - 1]
+            some = order[start:end][whole[start:end]]
+            path.add(*(column[some].tolist() for column in (rows.frame, rows.x, rows.y)))
+            path.n_observed += int(observed[k])
+            path.n_bridged += end - start - int(observed[k])
+            path.n_diameters += n_known[k]
+            path.diameters_px += diameters[k]
 
     def table(self) -> list[dict[str, Value]]:
         """One row a droplet: when and how far it went."""
         table: list[dict[str, Value]] = []
         for track_id, path in sorted(self._paths.items()):
-            n_steps = path.last_frame - path.first_frame
+            n_steps = path.last_whole - (path.first_whole or 0)
             table.append(
                 {
                     "track_id": track_id,
@@ -82,7 +96,9 @@ class Paths:
                     "last_frame": path.last_frame,
                     "n_observed": path.n_observed,
                     "n_bridged": path.n_bridged,
-                    "diameter_px": path.diameters_px / (path.n_observed + path.n_bridged),
+                    "diameter_px": path.diameters_px / path.n_diameters
+                    if path.n_diameters
+                    else nan,
                     "path_px": path.length_px,
                     "speed_px_per_frame": path.length_px / n_steps if n_steps else nan,
                 }
@@ -94,4 +110,5 @@ class Paths:
         return {
             track_id: np.array([*path.points, path.x, path.y], np.float32).reshape(-1, 2)
             for track_id, path in sorted(self._paths.items())
+            if path.first_whole is not None
         }

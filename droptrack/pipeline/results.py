@@ -19,6 +19,7 @@ from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.smoothing import COLUMNS as SMOOTHED
 from droptrack.tracking.smoothing import Smoother
 
+AT_EDGE = "at_edge"
 FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
 
 
@@ -52,7 +53,13 @@ class Results:
     def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
         for recorded, columns in smoothed:
             rows = recorded.rows
-            extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *columns.T)
+            further = dict(rows.columns)
+            if AT_EDGE in further:
+                further[AT_EDGE] = further[AT_EDGE] == 1  # not NaN, where gaps were bridged
+            extra = (
+                *(rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured),
+                *(*columns.T, *further.values()),
+            )
             self.rows.write(rows, extra)
             self.paths.add(rows)
 

@@ -12,6 +12,7 @@ from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.data.video import Video, VideoWriter
 from droptrack.errors import DroptrackError
+from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.loop import track_frames
@@ -153,7 +154,8 @@ def _track(
     """Track frame by frame into the folder's files; also tells what ended it too early."""
     problem: DroptrackError | None = None
     times = StageTimes()
-    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
+    columns = FURTHER_COLUMNS + (SHAPE if config.shape else ())
+    with TrajectoryWriter(folder / "trajectories.csv", about, columns) as rows:
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             writer = VideoWriter(folder / "tracked.mp4", opened.source.info, "mp4v")
@@ -167,6 +169,7 @@ def _track(
             results,
             batch=config.batch,
             live=opened.live,
+            shape=config.shape,
         )
         try:
             _show_progress(done, opened.n_frames(config.max_frames), shown=progress)

@@ -3,6 +3,7 @@
 from droptrack.anchors import main as anchors
 from droptrack.calibrate import main as calibrate
 from droptrack.command_line import new_app
+from droptrack.convert import main as convert
 from droptrack.detect import main as detect
 from droptrack.evaluate import main as evaluate
 from droptrack.export import main as export
@@ -13,6 +14,7 @@ app = new_app()
 app.command("track")(track)
 app.command("detect")(detect)
 app.command("train")(train)
+app.command("convert")(convert)
 app.command("evaluate")(evaluate)
 app.command("calibrate")(calibrate)
 app.command("export")(export)

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
+from droptrack.data.units import Units, parse_known_length
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.errors import DroptrackError
 
 WeightsOption = Annotated[
     Path | None, typer.Option(help="Darknet weights (.weights); default: the bundled model.")
@@ -42,3 +44,23 @@ ShapeOption = Annotated[
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]
+UmPerPxOption = Annotated[float | None, typer.Option(help="Micrometres a pixel.")]
+KnownLengthOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X1,Y1,X2,Y2,UM",
+        help="Instead: two places in the image, px, and the micrometres between them.",
+    ),
+]
+FpsOption = Annotated[
+    float | None, typer.Option(help="Frames a second when it was filmed; default: the file's.")
+]
+
+
+def units_from(um_per_px: float | None, known_length: str | None, fps: float | None) -> Units:
+    """What the three options say; raises DroptrackError where they contradict each other."""
+    if known_length is not None:
+        if um_per_px is not None:
+            raise DroptrackError("give --um-per-px or --known-length, not both")
+        um_per_px = parse_known_length(known_length)
+    return Units(um_per_px=um_per_px, fps=fps)

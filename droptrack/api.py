@@ -4,6 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
+from droptrack.data.units import Units
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, TrackingConfig
@@ -30,6 +31,8 @@ def track(
     shape: bool = True,
     max_frames: int = 0,
     annotated_video: bool = True,
+    um_per_px: float | None = None,
+    fps: float | None = None,
     tracker: str | TrackerConfig = TrackerName.droplet,
     progress: bool = True,
 ) -> TrackingRun:
@@ -66,6 +69,7 @@ def track(
             shape=shape,
             max_frames=max_frames,
             annotated_video=annotated_video,
+            units=Units(um_per_px=um_per_px, fps=fps),
             tracker=tracker,
         ),
         progress=progress,

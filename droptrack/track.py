@@ -15,13 +15,17 @@ from droptrack.options import (
     CfgOption,
     DarkOption,
     DiameterOption,
+    FpsOption,
+    KnownLengthOption,
     MaxIouOption,
     PrecisionOption,
     ScaleOption,
     ScoreOption,
     ShapeOption,
     SizeOption,
+    UmPerPxOption,
     WeightsOption,
+    units_from,
 )
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, DetectionsConfig, TrackingConfig
 from droptrack.pipeline.from_detections import run_detections
@@ -72,6 +76,9 @@ def main(
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
     ] = 0,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
     tracker: Annotated[
         TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
     ] = TrackerName.droplet,
@@ -111,6 +118,7 @@ def main(
 ) -> None:
     """Track the droplets of a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
     say = functools.partial(typer.echo, err=True)
+    units = units_from(um_per_px, known_length, fps)
     tracking = TrackerConfig(
         name=tracker,
         max_age=max_age,
@@ -128,7 +136,11 @@ def main(
             raise DroptrackError("--detections takes the place of a video and its networks")
         done = run_detections(
             DetectionsConfig(
-                detections=detections, descriptors=descriptors, out=out, tracker=tracking
+                detections=detections,
+                descriptors=descriptors,
+                out=out,
+                units=units,
+                tracker=tracking,
             ),
             say,
         )
@@ -153,6 +165,7 @@ def main(
             batch=batch,
             max_frames=max_frames,
             annotated_video=not no_video,
+            units=units,
             tracker=tracking,
         )
         done = run(config, say)

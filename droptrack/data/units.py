@@ -71,6 +71,9 @@ class Units:
         return found
 
 
+PIXELS = Units()  # where nothing else is known
+
+
 def units_of(about: Mapping[str, str]) -> Units:
     """What a table's `#` lines say; the frames a second also from what they say of the video.
 

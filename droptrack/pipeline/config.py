@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from droptrack.data.units import Units
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.tracking.choice import TrackerConfig
 
@@ -42,7 +43,8 @@ class TrackingConfig(DetectorConfig):
     `video`: a file, a folder of images, the index of a camera, or the address of a stream. `out`:
     the folder for the results, default ``tracks/<the video's name>``. `live`: always take the
     newest frame and drop others; default for cameras and streams. `batch`: frames that the network
-    takes at once. `max_frames`: stop after so many; 0: never.
+    takes at once. `max_frames`: stop after so many; 0: never. `units`: what a pixel and a frame
+    are, for columns in micrometres and seconds; frames a second are the video's own by default.
     """
 
     video: str
@@ -51,6 +53,7 @@ class TrackingConfig(DetectorConfig):
     batch: int = 1
     max_frames: int = 0
     annotated_video: bool = True
+    units: Units = field(default_factory=Units)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property
@@ -77,12 +80,13 @@ class DetectionsConfig:
     """How to track detections that some other program found.
 
     `detections`: a file in the format of the MOT Challenge. `descriptors`: an .npy file with the
-    appearance descriptor (D,) of each of its rows. `out`: as `TrackingConfig` has it.
+    appearance descriptor (D,) of each of its rows. `out`, `units`: as `TrackingConfig` has them.
     """
 
     detections: Path
     descriptors: Path | None = None
     out: Path | None = None
+    units: Units = field(default_factory=Units)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property

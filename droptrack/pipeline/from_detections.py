@@ -17,7 +17,7 @@ from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
 from droptrack.pipeline.notes import Say, to_stderr
-from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.run import TrackingRun
 from droptrack.tracking.appearance import describe_sizes
 from droptrack.tracking.choice import make_tracker
@@ -100,10 +100,11 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
         "made by": f"droptrack {__version__}, droptrack.track",
         "detections": f"{config.detections}, {frames.n_frames} frames",
         "units": "px, y points down; frames count from 0, one less than in the detections",
+        **config.units.about(),
     }
     began = time.perf_counter()
-    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
-        results = Results(rows)
+    with TrajectoryWriter(folder / "trajectories.csv", about, columns_with(config.units)) as rows:
+        results = Results(rows, units=config.units)
         for _ in track_detections(frames, descriptors_of, tracker, results):
             pass
     seconds = time.perf_counter() - began

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from droptrack.data.report import Value
 from droptrack.data.trajectories import Trajectories
+from droptrack.data.units import Units
 
 DRAWN_STEP_PX = 2.0  # minimum distance between points of a drawn line
 MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
@@ -84,11 +85,14 @@ class Paths:
             path.n_diameters += n_known[k]
             path.diameters_px += diameters[k]
 
-    def table(self) -> list[dict[str, Value]]:
+    def table(self, units: Units | None = None) -> list[dict[str, Value]]:
         """One row a droplet: when and how far it went."""
+        units = units or Units()
         table: list[dict[str, Value]] = []
         for track_id, path in sorted(self._paths.items()):
             n_steps = path.last_whole - (path.first_whole or 0)
+            diameter = path.diameters_px / path.n_diameters if path.n_diameters else nan
+            speed = path.length_px / n_steps if n_steps else nan
             table.append(
                 {
                     "track_id": track_id,
@@ -100,9 +104,13 @@ class Paths:
                     if path.n_diameters
                     else nan,
                     "path_px": path.length_px,
-                    "speed_px_per_frame": path.length_px / n_steps if n_steps else nan,
+                    "speed_px_per_frame": speed,
                 }
             )
+            if units.um_per_px is not None:
+                table[-1]["diameter_um"] = units.um_per_px * diameter
+                if units.fps is not None:
+                    table[-1]["speed_um_per_s"] = units.um_per_px * units.fps * speed
         return table
 
     def lines(self) -> dict[int, NDArray[np.float32]]:

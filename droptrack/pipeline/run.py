@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -10,6 +10,7 @@ from pathlib import Path
 from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
+from droptrack.data.units import Units
 from droptrack.data.video import Video, VideoWriter
 from droptrack.errors import DroptrackError
 from droptrack.measurement.shapes import COLUMNS as SHAPE
@@ -18,7 +19,7 @@ from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
-from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.progress import progress_bar
 from droptrack.tracking.appearance import DescriptorExtractor
@@ -59,6 +60,13 @@ class _Opened:
         """Frames that are to come, as far as the container knows; 0 where nobody does."""
         known = [n for n in (self.source.info.n_frames, max_frames) if n]
         return min(known, default=0)
+
+    def units(self, config: TrackingConfig) -> Units:
+        """What the user says a pixel and a frame are; the video's frames a second by default."""
+        units = config.units
+        if units.fps is None and units.um_per_px is not None and self.source.info.fps > 0:
+            return replace(units, fps=self.source.info.fps)
+        return units
 
 
 def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) -> TrackingRun:
@@ -126,6 +134,7 @@ def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "network": f"{opened.network.cfg.path}, {opened.network.weights}",
         "weights sha256": sha256_of(opened.network.weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
+        **opened.units(config).about(),
     }
 
 
@@ -154,13 +163,14 @@ def _track(
     """Track frame by frame into the folder's files; also tells what ended it too early."""
     problem: DroptrackError | None = None
     times = StageTimes()
-    columns = FURTHER_COLUMNS + (SHAPE if config.shape else ())
+    units = opened.units(config)
+    columns = columns_with(units, SHAPE if config.shape else ())
     with TrajectoryWriter(folder / "trajectories.csv", about, columns) as rows:
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             writer = VideoWriter(folder / "tracked.mp4", opened.source.info, "mp4v")
-            video = AnnotatedVideo(writer, times)
-        results = Results(rows, video, times)
+            video = AnnotatedVideo(writer, times, units)
+        results = Results(rows, video, times, units)
         done = track_frames(
             islice(opened.source.numbered(), config.max_frames or None),
             opened.network.detector,

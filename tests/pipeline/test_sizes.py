@@ -1,5 +1,6 @@
 """Sizes and shapes in the tables of a run, against the truth of the paper's test video."""
 
+import json
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ from droptrack.__main__ import app
 from droptrack.data.trajectories import read_trajectories
 from droptrack.evaluation.trajectory_scores import match
 from droptrack.measurement.shapes import COLUMNS
+from droptrack.pipeline.drawing import draw_scale_bar
 
 OPTIONS = ("--backend", "opencv", "--size", "640x320", "--no-video")
 
@@ -69,3 +71,38 @@ def test_droplets_cut_by_the_edge_are_flagged(kind: str, tmp_path: Path) -> None
         assert (row["centre_of_mass"] == "0") == cut
     error = [abs(float(row["x"]) - x) for row, x in zip(leaving, places.tolist(), strict=True)]
     assert max(error) < 0.2
+
+
+def test_columns_in_micrometres_and_seconds_stand_beside_the_pixels(
+    sine: Path, tmp_path: Path
+) -> None:
+    """0.5 um a px; 25 frames/s are the file's: a step of 5 px in x is 62.5 um/s."""
+    arguments = [str(sine / "video.avi"), "--out", str(tmp_path), *OPTIONS, "--max-frames", "8"]
+    result = CliRunner().invoke(app, ["track", *arguments, "--known-length", "0,0,300,400,250"])
+    assert result.exit_code == 0, result.output
+    found, about = read_trajectories(tmp_path / "trajectories.csv")
+    columns = found.columns
+    assert (about["um per px"], about["frames per s"]) == ("0.5", "25")
+    for name, expected in (
+        ("x_um", found.x / 2),
+        ("w_um", found.boxes[:, 2] / 2),
+        ("diameter_um", columns["diameter_px"] / 2),
+        ("area_um2", columns["area_px2"] / 4),
+        ("time_s", found.frame / 25),
+        ("velocity_x_um_per_s", columns["velocity_x"] * 12.5),
+    ):
+        np.testing.assert_allclose(columns[name], expected, atol=1e-5)
+    assert columns["velocity_x_um_per_s"].mean() == pytest.approx(62.5, rel=0.01)
+    report = json.loads((tmp_path / "report.json").read_text())
+    first = report["droplets"][0]
+    assert first["diameter_um"] == pytest.approx(first["diameter_px"] / 2)
+    assert first["speed_um_per_s"] == pytest.approx(first["speed_px_per_frame"] * 12.5)
+
+
+def test_a_scale_bar_is_as_long_as_it_says() -> None:
+    """0.65 um a px, 1200 px: 100 um are 154 px."""
+    image = np.full((300, 1200, 3), 90, np.uint8)
+    draw_scale_bar(image, 0.65)
+    line = (image[288] == 255).all(axis=1)
+    assert line.sum() == 154 + 1
+    assert (image[250:280] != 90).any()

@@ -30,12 +30,14 @@ def three_droplets() -> Trajectories:
     rows.append([9, 4, 10.0, 400, 10, 400, 12, 12, 0.7, 1, 11.5])
     table = np.array(rows, float)
     return sorted_trajectories(
-        *(table[:, k].astype(np.int64) for k in (0, 1)),
-        *(table[:, k] for k in (2, 3)),
-        table[:, 4:8],
-        table[:, 8],
-        table[:, 9].astype(bool),
-        {"diameter_px": table[:, 10], "area_px2": np.pi / 4 * table[:, 10] ** 2},
+        frame=table[:, 0].astype(np.int64),
+        track_id=table[:, 1].astype(np.int64),
+        x=table[:, 2],
+        y=table[:, 3],
+        boxes=table[:, 4:8],
+        scores=table[:, 8],
+        observed=table[:, 9].astype(bool),
+        columns={"diameter_px": table[:, 10], "area_px2": np.pi / 4 * table[:, 10] ** 2},
     )
 
 

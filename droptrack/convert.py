@@ -1,7 +1,6 @@
 """Command: trajectories in other programs' formats and back, ``python -m droptrack.convert``."""
 
 import functools
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -10,8 +9,7 @@ import typer
 
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.formats.choice import FORMATS, FormatName, format_by_suffix, format_of, lost_in
-from droptrack.data.formats.table import Table
-from droptrack.data.units import Units
+from droptrack.data.formats.table import Table, described
 from droptrack.errors import DroptrackError
 from droptrack.options import FpsOption, KnownLengthOption, UmPerPxOption, units_from
 
@@ -57,7 +55,7 @@ def main(
     if reader is None:
         raise DroptrackError(f"{trajectories}: {source} can be written, not read")
     units = units_from(um_per_px, known_length, fps)
-    table = _chosen(_known(reader(trajectories, units.um_per_px), units, size), frames)
+    table = _chosen(described(reader(trajectories, units.um_per_px), units, size), frames)
     for note in table.notes:
         say(f"{trajectories}: {note}")
     lost = lost_in(to, table)
@@ -66,18 +64,6 @@ def main(
     FORMATS[to].write(out, table)
     n_tracks = len(np.unique(table.rows.track_id))
     typer.echo(f"{out}: {to}, {len(table.rows)} rows of {n_tracks} droplets")
-
-
-def _known(table: Table, units: Units, size: str | None) -> Table:
-    """A table with what the user said of it."""
-    about = {**table.about, **units.about()}
-    if size is not None:
-        found = re.fullmatch(r"(\d+)x(\d+)", size)
-        if not found or not int(found[1]) or not int(found[2]):
-            raise DroptrackError(f"--size {size}: should be WxH, such as 1280x720")
-        rate = re.search(r", [\d.]+ frames/s", about.get("video", ""))
-        about["video"] = f"video, {found[1]} x {found[2]} px{rate[0] if rate else ''}"
-    return Table(rows=table.rows, about=about, notes=table.notes)
 
 
 def _chosen(table: Table, frames: str | None) -> Table:

@@ -59,6 +59,21 @@ class Table:
         return np.where(np.isfinite(measured), measured, of_boxes)
 
 
+def described(table: Table, units: Units, size: str | None) -> Table:
+    """A table with what its user says of it: units, and the image's size as WxH.
+
+    Raises DroptrackError for a size that is none.
+    """
+    about = {**table.about, **units.about()}
+    if size is not None:
+        found = re.fullmatch(r"(\d+)x(\d+)", size)
+        if not found or not int(found[1]) or not int(found[2]):
+            raise DroptrackError(f"--size {size}: should be WxH, such as 1280x720")
+        rate = re.search(r", [\d.]+ frames/s", about.get("video", ""))
+        about["video"] = f"video, {found[1]} x {found[2]} px{rate[0] if rate else ''}"
+    return Table(rows=table.rows, about=about, notes=table.notes)
+
+
 def table_of(
     path: Path,
     *,

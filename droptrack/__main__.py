@@ -3,8 +3,10 @@
 from droptrack.anchors import main as anchors
 from droptrack.calibrate import main as calibrate
 from droptrack.command_line import new_app
+from droptrack.convert import main as convert
 from droptrack.detect import main as detect
 from droptrack.evaluate import main as evaluate
+from droptrack.events import main as events
 from droptrack.export import main as export
 from droptrack.track import main as track
 from droptrack.train import main as train
@@ -13,7 +15,9 @@ app = new_app()
 app.command("track")(track)
 app.command("detect")(detect)
 app.command("train")(train)
+app.command("convert")(convert)
 app.command("evaluate")(evaluate)
+app.command("events")(events)
 app.command("calibrate")(calibrate)
 app.command("export")(export)
 app.command("anchors")(anchors)

@@ -4,6 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
+from droptrack.data.units import Units
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.detection.scale import parse_scale
@@ -37,6 +38,9 @@ def track(
     renumber: bool = False,
     overwrite: bool = False,
     resume: bool = False,
+    shape: bool = True,
+    um_per_px: float | None = None,
+    fps: float | None = None,
     tracker: str | TrackerConfig = TrackerName.droplet,
     progress: bool = True,
 ) -> TrackingRun:
@@ -76,6 +80,8 @@ def track(
             reading=ReadOptions(levels=levels, channel=channel, renumber=renumber),
             overwrite=overwrite,
             resume=resume,
+            shape=shape,
+            units=Units(um_per_px=um_per_px, fps=fps),
             tracker=tracker,
         ),
         progress=progress,

@@ -22,6 +22,7 @@ from droptrack.options import (
     RegionOption,
     ScaleOption,
     ScoreOption,
+    ShapeOption,
     SizeOption,
     WeightsOption,
 )
@@ -51,6 +52,7 @@ def main(
     region: RegionOption = None,
     levels: LevelsOption = None,
     channel: ChannelOption = None,
+    shape: ShapeOption = True,
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Write no annotated images.")
     ] = False,
@@ -71,6 +73,7 @@ def main(
         dark=dark,
         region=region,
         reading=ReadOptions(levels=levels, channel=channel),
+        shape=shape,
         annotated=not no_images,
     )
     done = detect_images(config, functools.partial(typer.echo, err=True))

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
+from droptrack.data.units import Units, parse_known_length
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.errors import DroptrackError
 
 WeightsOption = Annotated[
     Path | None, typer.Option(help="Darknet weights (.weights); default: the bundled model.")
@@ -47,6 +49,9 @@ RegionOption = Annotated[
         help="Where droplets count: a polygon, px, or an image that is black elsewhere.",
     ),
 ]
+ShapeOption = Annotated[
+    bool, typer.Option("--shape/--no-shape", help="Measure outlines: sizes and shapes.")
+]
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]
@@ -74,3 +79,23 @@ ReconnectOption = Annotated[
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results of an earlier run of the same.")
 ]
+UmPerPxOption = Annotated[float | None, typer.Option(help="Micrometres a pixel.")]
+KnownLengthOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X1,Y1,X2,Y2,UM",
+        help="Instead: two places in the image, px, and the micrometres between them.",
+    ),
+]
+FpsOption = Annotated[
+    float | None, typer.Option(help="Frames a second when it was filmed; default: the file's.")
+]
+
+
+def units_from(um_per_px: float | None, known_length: str | None, fps: float | None) -> Units:
+    """What the three options say; raises DroptrackError where they contradict each other."""
+    if known_length is not None:
+        if um_per_px is not None:
+            raise DroptrackError("give --um-per-px or --known-length, not both")
+        um_per_px = parse_known_length(known_length)
+    return Units(um_per_px=um_per_px, fps=fps)

@@ -18,6 +18,8 @@ from droptrack.options import (
     ChannelOption,
     DarkOption,
     DiameterOption,
+    FpsOption,
+    KnownLengthOption,
     LevelsOption,
     MaxIouOption,
     OverwriteOption,
@@ -28,8 +30,11 @@ from droptrack.options import (
     ResumeOption,
     ScaleOption,
     ScoreOption,
+    ShapeOption,
     SizeOption,
+    UmPerPxOption,
     WeightsOption,
+    units_from,
 )
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, DetectionsConfig, TrackingConfig
 from droptrack.pipeline.from_detections import run_detections
@@ -93,6 +98,7 @@ def main(
     max_iou: MaxIouOption = MAX_IOU,
     dark: DarkOption = False,
     region: RegionOption = None,
+    shape: ShapeOption = True,
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
@@ -103,6 +109,9 @@ def main(
     reconnect: ReconnectOption = 0,
     overwrite: OverwriteOption = False,
     resume: ResumeOption = False,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
     tracker: Annotated[
         TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
     ] = TrackerName.droplet,
@@ -142,6 +151,7 @@ def main(
 ) -> None:
     """Track the droplets of a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
     say = functools.partial(typer.echo, err=True)
+    units = units_from(um_per_px, known_length, fps)
     tracking = TrackerConfig(
         name=tracker,
         max_age=max_age,
@@ -167,6 +177,7 @@ def main(
                 max_frames=max_frames,
                 out=out,
                 overwrite=overwrite,
+                units=units,
                 tracker=tracking,
             ),
             say,
@@ -189,6 +200,7 @@ def main(
             max_iou=max_iou,
             dark=dark,
             region=region,
+            shape=shape,
             batch=batch,
             max_frames=max_frames,
             annotated_video=not no_video,
@@ -197,6 +209,7 @@ def main(
             ),
             overwrite=overwrite,
             resume=resume,
+            units=units,
             tracker=tracking,
         )
         done = run(config, say)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from data_gen.lattice_boltzmann.camera import Camera, capture
 from data_gen.lattice_boltzmann.settings import Device, usable_device, use_threads
 from data_gen.lattice_boltzmann.simulation import AnySimulation, P, Simulation
-from droptrack.data.arrays import Floats
+from droptrack.data.arrays import Floats, Rows
 from droptrack.data.files import replacing
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter, sorted_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
@@ -35,6 +35,7 @@ from droptrack.version import __version__
 
 CHECK_STEPS = 50  # between checks for instability
 SNAPSHOTS = ("start", "middle", "end")  # frames that are kept as images
+AREA_AND_AXES = ("area", "major_px", "minor_px", "angle_rad")  # columns after the boxes
 STATE = "state_"  # before the names of a checkpoint's arrays of the state
 
 
@@ -77,10 +78,10 @@ def record(
 
 
 def ground_truth_rows(simulation: AnySimulation, frame: int, scale: int) -> Floats:
-    """Rows [frame, id, x, y, box cx, cy, w, h, area] of the droplets, in px, y down.
+    """Rows (N, 12) [frame, id, x, y, box cx, cy, w, h, *AREA_AND_AXES] of the droplets, px, y down.
 
-    x, y: centre of mass where the fraction exceeds 1/2; box and area: of that region. A droplet of
-    which nothing is left has no row.
+    x, y: centre of mass where the fraction exceeds 1/2; box, area and axes: of that region. A
+    droplet of which nothing is left has no row.
     """
     rows = []
     height = simulation.size[1]
@@ -96,8 +97,25 @@ def ground_truth_rows(simulation: AnySimulation, frame: int, scale: int) -> Floa
         top, bottom = height - corner[0] - y.max() - 1, height - corner[0] - y.min()
         box = [(left + right) / 2, (top + bottom) / 2, right - left, bottom - top]
         lengths = scale * np.array([cx, cy, *box])
-        rows.append([frame, k + 1, *lengths, scale**2 * mask.sum()])
-    return np.array(rows, float).reshape(-1, 9)
+        major, minor, angle = axes_of(x, -y)
+        rows.append(
+            [frame, k + 1, *lengths, scale**2 * mask.sum(), scale * major, scale * minor, angle]
+        )
+    return np.array(rows, float).reshape(-1, 8 + len(AREA_AND_AXES))
+
+
+def axes_of(x: Rows, y: Rows) -> tuple[float, float, float]:
+    """Major and minor axis, in nodes, of the ellipse with the second moments of nodes x, y (M,).
+
+    And the angle of the major axis from x towards y, in (-pi/2, pi/2]. A node is a unit square.
+    """
+    xx, yy, xy = x.var() + 1 / 12, y.var() + 1 / 12, ((x - x.mean()) * (y - y.mean())).mean()
+    middle, spread = (xx + yy) / 2, float(np.hypot((xx - yy) / 2, xy))
+    return (
+        float(4 * np.sqrt(middle + spread)),
+        float(4 * np.sqrt(middle - spread)),
+        float(np.arctan2(2 * xy, xx - yy) / 2),
+    )
 
 
 class SimulationRecorder:
@@ -115,6 +133,7 @@ class SimulationRecorder:
             "simulation": simulation.name,
             "parameters": dict(simulation.parameters),
             "recording": asdict(recording),
+            "ground_truth": AREA_AND_AXES,
         }
 
     @property
@@ -275,8 +294,8 @@ class SimulationRecorder:
             "parameters": "in parameters.json",
             "video": f"video.avi, {info.width} x {info.height} px, {recording.fps} frames/s",
             "steps": f"{recording.first} + {recording.every} a frame",
-            "units": "px and px^2; centre of mass, box and area of where the droplet's fraction "
-            "exceeds 1/2",
+            "units": "px and px^2; centre of mass, box, area and axes of where the droplet's "
+            "fraction exceeds 1/2",
         }
         rows = np.concatenate(self.ground_truth)
         ids, ones = rows[:, :2].astype(np.int64), np.ones(len(rows))
@@ -289,8 +308,9 @@ class SimulationRecorder:
             scores=ones,
             observed=ones.astype(bool),
         )  # rows are in order already
-        with TrajectoryWriter(self.out / "truth.csv", about, (*BOX_CENTRE, "area")) as writer:
-            writer.write(table, (rows[:, 4], rows[:, 5], rows[:, 8]))
+        extra = (*BOX_CENTRE, *AREA_AND_AXES)
+        with TrajectoryWriter(self.out / "truth.csv", about, extra) as writer:
+            writer.write(table, (rows[:, 4], rows[:, 5], *rows[:, 8:].T))
 
     def _write_checks(self) -> None:
         with (self.out / "checks.csv").open("w", newline="", encoding="utf-8") as file:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data_gen.videos.pairs import PairEvent, merging_pairs, splitting_pairs
 from data_gen.videos.sine import place_droplets
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
@@ -60,7 +61,12 @@ class Kind(StrEnum):
     growing = "growing"  # a channel in which half of them double their size, half halve it
     packing = "packing"  # a dense hexagonal patch that moves by half a spacing per frame
     filled = "filled"
+    merging = "merging"  # pairs that coalesce, and bystanders
+    splitting = "splitting"  # droplets that break up, and bystanders
     train = "train"  # equal plugs one after the other in a channel, through the whole image
+
+
+PAIRS = {Kind.merging: merging_pairs, Kind.splitting: splitting_pairs}
 
 
 def train(*, spacing: float, step: float, images_missing: float = 0.0) -> Motion:
@@ -186,6 +192,9 @@ def move(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats]:
             rng, motion.droplets, size, motion.frames, (16.0, 30.0), (5.0, 5.0, 5.0)
         )
         return paths, np.repeat(2 * radii[:, None], motion.frames, axis=1)
+    if motion.kind in PAIRS:
+        paths, diameters, _ = pairs_of(rng, motion)
+        return paths, diameters
     if motion.kind == Kind.train:
         paths = train_paths(rng, motion)
     elif motion.kind in (Kind.packing, Kind.filled):
@@ -195,6 +204,19 @@ def move(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats]:
     else:
         paths = carried_paths(rng, motion)
     return paths, sizes(rng, motion, len(paths))
+
+
+def pairs_of(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats, list[PairEvent]]:
+    """Paths, diameters and events of pairs that coalesce or break up; four droplets an event."""
+    n = max(motion.droplets // 4, 1)
+    return PAIRS[Kind(motion.kind)](rng, n, motion.diameter, motion.frames, (WIDTH, HEIGHT))
+
+
+def events_of(motion: Motion, seed: int) -> list[PairEvent]:
+    """What happens in the motion that `make` gives with this seed."""
+    if motion.kind not in PAIRS:
+        return []
+    return pairs_of(np.random.default_rng(seed), motion)[2]
 
 
 def packing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
@@ -311,7 +333,10 @@ def make(motion: Motion, seed: int) -> tuple[Trajectories, list[Detections]]:
 
 
 def write_motion(out: Path, motion: Motion, seed: int) -> int:
-    """Write detections.txt and truth.csv to a folder; returns the number of droplets."""
+    """Write detections.txt and truth.csv to a folder; returns the number of droplets.
+
+    And events.csv, where droplets coalesce or break up.
+    """
     truth, found = make(motion, seed)
     out.mkdir(parents=True, exist_ok=True)
     about = {
@@ -321,4 +346,12 @@ def write_motion(out: Path, motion: Motion, seed: int) -> int:
     }
     write_trajectories(out / "truth.csv", truth, about)
     write_detections(out / "detections.txt", found)
+    if events := events_of(motion, seed):
+        lines = [
+            f"{one.frame},{motion.kind},{' '.join(map(str, one.parents))},"
+            f"{' '.join(map(str, one.children))},{one.x:.6f},{one.y:.6f}\n"
+            for one in sorted(events, key=lambda one: one.frame)
+        ]
+        text = "frame,kind,parents,children,x,y\n" + "".join(lines)
+        (out / "events.csv").write_text(text, encoding="utf-8")
     return len(np.unique(truth.track_id))

@@ -91,15 +91,33 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
     between droplet and surroundings, dark or bright, and nearer to this box than to any other.
     Pixels weigh by their contrast, so that the edge counts for the part of it that is covered.
     """
-    centres = boxes[:, :2].copy()
-    measured = np.zeros(len(boxes), bool)
+    centres, measured, _ = centres_and_levels(grey_of(frame), boxes)
+    return centres, measured
+
+
+def grey_of(frame: Frame) -> Pixels:
+    """The grey levels (H, W) of a frame (H, W, 3), in one piece."""
     plane = grey_plane(frame)
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane
-    grey, boxes = np.ascontiguousarray(grey, np.uint8), np.ascontiguousarray(boxes)
+    return np.ascontiguousarray(grey, np.uint8)
+
+
+def centres_and_levels(grey: Pixels, boxes: Floats) -> tuple[Floats, Bools, Rows]:
+    """As `centres_of_mass` of a grey image (H, W), and the grey levels (N, 3) that it went by.
+
+    Those are the level around each droplet, the droplet's above it, 0 where that is unclear, and
+    the level of the box's middle.
+    """
+    centres = boxes[:, :2].copy()
+    measured = np.zeros(len(boxes), bool)
+    boxes = np.ascontiguousarray(boxes)
     if (loops := load_loops()) is not None:
         grey.ravel()[::CACHE_LINE].max()  # it comes into the cache sooner than bit by bit
-        loops.measure(grey, boxes, loops.Settings(*SETTINGS), centres, measured)
-        return centres, measured
+        levels = np.zeros((len(boxes), 3), np.int64)
+        loops.measure(grey, boxes, loops.Settings(*SETTINGS), centres, measured, levels)
+        return centres, measured, levels
+    levels = _levels(grey, boxes)
+    background, contrast = levels[:, 0], levels[:, 1]
     height, width = grey.shape
     reach = boxes[:, 2:] * (0.5 + MARGIN) + EDGE_PX
     low = np.clip(np.floor(boxes[:, :2] - reach), 0, [width, height]).astype(np.int64)
@@ -107,9 +125,8 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
     size = high - low
     usable = np.flatnonzero((size >= 3).all(axis=1))
     if not len(usable):
-        return centres, measured
-    neighbours = _neighbours(boxes)
-    background, contrast = _levels(grey, boxes)
+        return centres, measured, levels
+    neighbours = nearest_boxes(boxes)
     for rows in _groups(usable, size[usable].max(axis=1)):
         heights, full = _cut(grey, low[rows], size[rows], background[rows], contrast[rows])
         crops = _Crops(heights, full, low[rows] - 1, boxes[rows])
@@ -118,7 +135,7 @@ def centres_of_mass(frame: Frame, boxes: Floats) -> tuple[Floats, Bools]:
         good = (total > 0) & (np.abs(centre - boxes[rows, :2]) < boxes[rows, 2:] / 2).all(axis=1)
         centres[rows[good]] = centre[good]
         measured[rows[good]] = True
-    return centres, measured
+    return centres, measured, levels
 
 
 def _groups(rows: Rows, sides: Rows) -> Iterator[Rows]:
@@ -131,16 +148,18 @@ def _groups(rows: Rows, sides: Rows) -> Iterator[Rows]:
             yield rows[mine][start : start + n]
 
 
-def _neighbours(boxes: Floats) -> Rows:
+def nearest_boxes(boxes: Floats) -> Rows:
     """The nearest other boxes (N, K) of each, -1 where there are no more."""
+    if not len(boxes):
+        return np.zeros((0, 1), np.int64)
     k = min(NEIGHBOURS + 1, len(boxes))
     _, near = cKDTree(boxes[:, :2]).query(boxes[:, :2], range(1, k + 1))
     near = np.asarray(near, np.int64)
     return np.where(near == np.arange(len(boxes))[:, None], -1, near)
 
 
-def _levels(grey: Pixels, boxes: Floats) -> tuple[Rows, Rows]:
-    """Grey level around each droplet (N,) and the droplet's above it, 0 where that is unclear."""
+def _levels(grey: Pixels, boxes: Floats) -> Rows:
+    """Grey levels (N, 3): around each droplet, the droplet's above it or 0, and of its middle."""
     inside, n_inside = _samples(grey, boxes, INSIDE)
     around, n_around = _samples(grey, boxes, AROUND)
     level = _quantile(inside, 0, n_inside, 0.5)
@@ -151,9 +170,10 @@ def _levels(grey: Pixels, boxes: Floats) -> tuple[Rows, Rows]:
     start = np.where(bright, 0, n_not_above)
     n_beyond = np.where(bright, n_below, n_around - n_not_above)
     background = np.rint(_quantile(around, start, n_beyond, 0.5)).astype(np.int64)
-    contrast = np.rint(level).astype(np.int64) - background
+    middle = np.rint(level).astype(np.int64)
+    contrast = middle - background
     clear = (n_inside > 0) & (n_beyond > 0) & (np.abs(contrast) >= MIN_CONTRAST)
-    return background, np.where(clear, contrast, 0)
+    return np.column_stack([background, np.where(clear, contrast, 0), middle])
 
 
 def _samples(grey: Pixels, boxes: Floats, places: Floats) -> tuple[NDArray[np.int16], Rows]:

@@ -44,6 +44,7 @@ SIGNATURE = types.void(
     _SETTINGS,
     types.float64[:, ::1],
     types.boolean[::1],
+    types.int64[:, ::1],
 )
 
 
@@ -97,15 +98,16 @@ def _quantile(counts: Rows, start: int, n: int, share: float) -> float:
 
 
 @njit(**FAST)
-def _levels(grey: Pixels, box: Floats, settings: Settings, counts: Rows) -> tuple[int, int]:
-    """Grey level around a droplet and the droplet's above it, 0 where that is unclear."""
+def _levels(grey: Pixels, box: Floats, settings: Settings, counts: Rows) -> tuple[int, int, int]:
+    """Grey level around a droplet, the droplet's above it or 0 where unclear, of its middle."""
     n_inside = _histogram(grey, box, settings.inside, counts)
     if n_inside == 0:
-        return 0, 0
+        return 0, 0, 0
     level = _quantile(counts, 0, n_inside, 0.5)
+    middle = int(np.rint(level))
     n_around = _histogram(grey, box, settings.around, counts)
     if n_around == 0:
-        return 0, 0
+        return 0, 0, middle
     darkest = _quantile(counts, 0, n_around, 0.1)
     brightest = _quantile(counts, 0, n_around, 0.9)
     bright = level - darkest >= brightest - level
@@ -119,10 +121,10 @@ def _levels(grey: Pixels, box: Floats, settings: Settings, counts: Rows) -> tupl
     if not bright:
         n_beyond = n_around - start
     if n_beyond == 0:
-        return 0, 0
+        return 0, 0, middle
     background = int(np.rint(_quantile(counts, start, n_beyond, 0.5)))
-    contrast = int(np.rint(level)) - background
-    return background, contrast if abs(contrast) >= settings.min_contrast else 0
+    contrast = middle - background
+    return background, contrast if abs(contrast) >= settings.min_contrast else 0, middle
 
 
 @njit(**FAST)
@@ -338,9 +340,9 @@ def _nearest(boxes: Floats, order: Rows, place: int, found: Rows, squares: Float
 
 @njit(SIGNATURE, **FAST)  # compiled when it is imported, not at the first frame
 def measure(
-    grey: Pixels, boxes: Floats, settings: Settings, centres: Floats, measured: Bools
+    grey: Pixels, boxes: Floats, settings: Settings, centres: Floats, measured: Bools, levels: Rows
 ) -> None:
-    """Put into `centres` (N, 2) and `measured` (N,) what is found in boxes (N, 4)."""
+    """Put into `centres` (N, 2), `measured` (N,), `levels` (N, 3) what is found in boxes (N, 4)."""
     frame = np.array([grey.shape[1], grey.shape[0]])
     low, high = np.empty((len(boxes), 2), np.int64), np.empty((len(boxes), 2), np.int64)
     max_area, longest = 0, 0
@@ -363,10 +365,9 @@ def measure(
     for place, row in enumerate(order):
         box = boxes[row]
         width, height = high[row, 0] - low[row, 0] + 2, high[row, 1] - low[row, 1] + 2
-        if width < 5 or height < 5:
-            continue
-        background, contrast = _levels(grey, box, settings, counts)
-        if contrast == 0:
+        background, contrast, middle = _levels(grey, box, settings, counts)
+        levels[row, 0], levels[row, 1], levels[row, 2] = background, contrast, middle
+        if width < 5 or height < 5 or contrast == 0:
             continue
         x, y = low[row, 0] - 1, low[row, 1] - 1
         crop = Crop(grey, state, x, y, width, height, background, contrast)

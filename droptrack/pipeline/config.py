@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from droptrack.data.units import Units
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.pipeline.results_folder import results_name
@@ -23,6 +24,7 @@ class DetectorConfig:
     follows. `score`: the minimum score of a droplet. `max_iou`: the IoU above
     which two boxes are one droplet. `dark`: droplets are darker than their surroundings. `region`:
     where droplets count, a polygon or an image, see `data.region.Region.read`; None: everywhere.
+    `shape`: measure the droplets' outlines, for their sizes and shapes.
     """
 
     weights: Path | None = None
@@ -36,6 +38,7 @@ class DetectorConfig:
     max_iou: float = MAX_IOU
     dark: bool = False
     region: str | None = None
+    shape: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +50,9 @@ class TrackingConfig(DetectorConfig):
     newest frame and drop others; default for cameras and streams. `batch`: frames that the network
     takes at once. `max_frames`: stop after so many; 0: never. `reading`: how to read what can be
     read in several ways. `overwrite`: the results of an earlier run of the same video. `resume`:
-    one that was ended too early, whatever ended it.
+    one that was ended too early, whatever ended it. `units`: what a
+    pixel and a frame are, for columns in micrometres and seconds; frames a second are the video's
+    own by default.
     """
 
     video: str
@@ -59,6 +64,7 @@ class TrackingConfig(DetectorConfig):
     reading: ReadOptions = field(default_factory=ReadOptions)
     overwrite: bool = False
     resume: bool = False
+    units: Units = field(default_factory=Units)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property
@@ -88,7 +94,8 @@ class DetectionsConfig:
 
     `detections`: a file in the format of the MOT Challenge. `descriptors`: an .npy file with the
     appearance descriptor (D,) of each of its rows. `score`: of rows that are used. `out`,
-    `max_frames` and `overwrite`: as `TrackingConfig` has them.
+    `max_frames`, `overwrite` and
+    `units`: as `TrackingConfig` has them.
     """
 
     detections: Path
@@ -97,6 +104,7 @@ class DetectionsConfig:
     max_frames: int = 0
     out: Path | None = None
     overwrite: bool = False
+    units: Units = field(default_factory=Units)
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property

@@ -22,7 +22,9 @@ from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
 from droptrack.data.video import IMAGE_SUFFIXES, ReadOptions, Video, image_files
 from droptrack.errors import DroptrackError
-from droptrack.measurement.centre_of_mass import centres_of_mass
+from droptrack.measurement.droplets import Measured, at_edge, measure_droplets
+from droptrack.measurement.shapes import AT_EDGE, DIAMETER
+from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import ImagesConfig
 from droptrack.pipeline.drawing import draw_boxes
@@ -35,7 +37,6 @@ COLUMNS = (
     *("image", "frame", "x", "y", "w", "h", "score", "class_id", "at_edge"),
     *("box_x", "box_y", "centre_of_mass"),
 )
-EDGE_PX = 1.0  # a box that ends nearer to the image's edge is cut by it
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,8 @@ def detect_images(
         partial.open("w", newline="", encoding="utf-8") as file,
         progress_bar("images", shown=progress) as bar,
     ):
-        results = _Results(config.out / "annotated" if config.annotated else None, file)
+        annotated = config.out / "annotated" if config.annotated else None
+        results = _Results(annotated, file, shape=config.shape)
         for image in bar.track(chain([first], images), description="detecting"):
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
@@ -101,20 +103,26 @@ def detect_images(
 class _Results:
     """The table and the annotated images, filled image by image, and what is said of them."""
 
-    def __init__(self, annotated: Path | None, table: TextIO) -> None:
+    def __init__(self, annotated: Path | None, table: TextIO, *, shape: bool) -> None:
+        self._shape = shape
         self.diameters: list[float] = []  # of droplets that no edge cuts, px
         self._annotated, self._names = annotated, Counter[str]()
         self._rows: list[dict[str, Value]] = []
         self._writer = csv.writer(table, lineterminator="\n")
-        self._writer.writerow(COLUMNS)
+        self._writer.writerow(COLUMNS + (SHAPE[:AT_EDGE] if shape else ()))
         if annotated is not None:
             annotated.mkdir(exist_ok=True)
 
     def add(self, image: Image, found: Detections) -> None:
         """Take the droplets of the next image."""
-        cut = at_edge(found.boxes, (image.frame.shape[1], image.frame.shape[0]))
-        self._writer.writerows(_table(image, found, cut))
-        diameters = np.sqrt(found.boxes[~cut, 2:].prod(axis=1))
+        measured = measure_droplets(image.frame, found.boxes, shape=self._shape)
+        if self._shape:
+            cut, diameters = measured.shapes[:, AT_EDGE] == 1, measured.shapes[:, DIAMETER]
+            diameters = diameters[np.isfinite(diameters)]
+        else:
+            cut = at_edge(found.boxes, (image.frame.shape[1], image.frame.shape[0]))
+            diameters = np.sqrt(found.boxes[~cut, 2:].prod(axis=1))
+        self._writer.writerows(_table(image, found, measured, cut))
         self.diameters += diameters.tolist()
         self._rows.append(
             {
@@ -191,29 +199,21 @@ def _image_size(path: Path) -> tuple[int, int] | None:
         return None
 
 
-def at_edge(boxes: Floats, size: tuple[int, int]) -> Bools:
-    """Whether boxes (N, 4) px end at the edge of an image of a size, so that droplets are cut.
-
-    >>> at_edge(np.array([[50.0, 50, 20, 20], [9.5, 50, 20, 20]]), (100, 100)).tolist()
-    [False, True]
-    """
-    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
-    return np.asarray((low < EDGE_PX).any(axis=1) | (high > np.array(size) - EDGE_PX).any(axis=1))
-
-
-def _table(image: Image, found: Detections, cut: Bools) -> Iterator[list[object]]:
+def _table(
+    image: Image, found: Detections, measured: Measured, cut: Bools
+) -> Iterator[list[object]]:
     """One row a droplet, from the left to the right."""
-    centres, measured = centres_of_mass(image.frame, found.boxes)
     for i in np.argsort(found.boxes[:, 0], kind="stable").tolist():
-        box_x, box_y, w, h = (f"{value:.6f}" for value in found.boxes[i].tolist())
-        x, y = (f"{value:.6f}" for value in centres[i].tolist())
+        box_x, box_y, w, h = (f"{value:.6f}" for value in measured.boxes[i].tolist())
+        x, y = (f"{value:.6f}" for value in measured.centres[i].tolist())
+        shape = [f"{value:.6f}" for value in measured.shapes[i, :AT_EDGE].tolist()]
         score, class_id = f"{found.scores[i]:.6f}", int(found.class_ids[i])
         row = [image.source, image.number, x, y, w, h, score, class_id, int(cut[i])]
-        yield [*row, box_x, box_y, int(measured[i])]
+        yield [*row, box_x, box_y, int(measured.measured[i]), *shape]
 
 
 def _sizes(diameters: Floats) -> dict[str, Value]:
-    """What is said of diameters sqrt(w h) (N,) px; NaN without any."""
+    """What is said of diameters (N,) px; NaN without any."""
     some = diameters if len(diameters) else np.array([np.nan])
     mean, deviation = float(some.mean()), float(some.std())
     return {
@@ -240,5 +240,7 @@ def _settings(
         "dark": config.dark,
         "grey_levels": "" if config.reading.levels is None else str(config.reading.levels),
         "region": config.region or "",
-        "diameters": "sqrt(w h) of the boxes of droplets that no edge cuts",
+        "diameters": "of circles of the droplets' areas, where no edge cuts them"
+        if config.shape
+        else "sqrt(w h) of the boxes of droplets that no edge cuts",
     }

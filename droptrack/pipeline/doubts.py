@@ -23,10 +23,11 @@ def doubts(paths: Collection[DropletPath], n_frames: int, cfg: Cfg, scale: float
 
     `scale`: px of the network's input for a px of the frames, see `Canvas`.
     """
+    seen = [path for path in paths if path.points]  # not only cut by the frame's edge
     found = (
         _short_tracks(paths, n_frames),
-        _still_tracks(paths),
-        _regular_grid(np.array([path.start for path in paths]).reshape(-1, 2), cfg, scale),
+        _still_tracks(seen),
+        _regular_grid(np.array([path.start for path in seen]).reshape(-1, 2), cfg, scale),
     )
     return [doubt for doubt in found if doubt]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from droptrack.data.detections import Detections, xyxy_from_boxes
+from droptrack.data.units import PIXELS, Units, scale_bar
 from droptrack.tracking.recorder import Row
 
 Frame = NDArray[np.uint8]
@@ -27,9 +28,10 @@ def colour_of(track_id: int) -> tuple[int, int, int]:
 
 
 class Annotator:
-    """Draws frame after frame, and remembers the trails."""
+    """Draws frame after frame, and remembers the trails; with a scale bar where it is known."""
 
-    def __init__(self) -> None:
+    def __init__(self, units: Units = PIXELS) -> None:
+        self._units = units
         self._trails: dict[int, list[tuple[int, float, float]]] = {}
 
     def draw(self, index: int, frame: Frame, rows: Iterable[Row]) -> Frame:
@@ -47,7 +49,24 @@ class Annotator:
                 del self._trails[track_id]
         for row in rows:
             _draw_box(image, row)
+        if self._units.um_per_px is not None:
+            draw_scale_bar(image, self._units.um_per_px)
         return image
+
+
+def draw_scale_bar(image: Frame, um_per_px: float) -> None:
+    """Draw a scale bar with its length into the lower right corner of an image (H, W, 3)."""
+    height, width = image.shape[:2]
+    length, px = scale_bar(um_per_px, width)
+    label = _text(f"{length:g} µm", (255, 255, 255))
+    right, bottom = width - 10, height - 10
+    left, top = max(right - px, 0), max(bottom - 4, 0)
+    cv2.rectangle(image, (left - 2, top - 2), (right + 2, bottom + 2), (0, 0, 0), -1)
+    cv2.rectangle(image, (left, top), (right, bottom), (255, 255, 255), -1)
+    high, wide = label.shape[:2]
+    y, x = top - 4 - high, (left + right - wide) // 2
+    if y >= 0 and x >= 0 and x + wide <= width:
+        image[y : y + high, x : x + wide] = label
 
 
 def draw_boxes(frame: Frame, found: Detections) -> Frame:
@@ -90,11 +109,16 @@ def _draw_box(image: Frame, row: Row) -> None:
 
 @lru_cache(maxsize=4096)
 def _label(track_id: int) -> Frame:
-    """The ID in black on the track's colour; Pillow sets type better than OpenCV."""
+    """The ID on the track's colour."""
+    return _text(str(track_id), colour_of(track_id))
+
+
+def _text(text: str, colour: tuple[int, int, int]) -> Frame:
+    """Text in black on a BGR colour; Pillow sets type better than OpenCV."""
     font = ImageFont.load_default(TEXT_PX)
-    left, top, right, bottom = font.getbbox(str(track_id))
+    left, top, right, bottom = font.getbbox(text)
     size = (int(right - left) + 6, int(bottom - top) + 5)
-    blue, green, red = colour_of(track_id)
+    blue, green, red = colour
     image = Image.new("RGB", size, (red, green, blue))
-    ImageDraw.Draw(image).text((3 - left, 2 - top), str(track_id), (0, 0, 0), font)
+    ImageDraw.Draw(image).text((3 - left, 2 - top), text, (0, 0, 0), font)
     return np.asarray(image, np.uint8)[..., ::-1]

@@ -18,7 +18,7 @@ from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
 from droptrack.pipeline.notes import Say, to_stderr
-from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.run import TrackingRun
 from droptrack.tracking.appearance import describe_sizes
@@ -115,10 +115,11 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
         "made by": f"droptrack {__version__}, droptrack.track",
         "detections": f"{whole_name(str(config.detections))}, {frames.n_frames} frames",
         "units": "px, y points down; frames count from 0, one less than in the detections",
+        **config.units.about(),
     }
     began = time.perf_counter()
-    with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
-        results = Results(rows)
+    with TrajectoryWriter(folder / "trajectories.csv", about, columns_with(config.units)) as rows:
+        results = Results(rows, units=config.units)
         wanted = islice(_above(frames, config.score), config.max_frames or None)
         first = frames.first_frame - 1
         for _ in track_detections(wanted, descriptors_of, tracker, results, first=first):

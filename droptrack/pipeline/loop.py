@@ -14,12 +14,13 @@ from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector
 from droptrack.interrupts import whole
-from droptrack.measurement.centre_of_mass import centres_of_mass, load_loops
+from droptrack.measurement.droplets import load_loops, measure_droplets
+from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
 from droptrack.tracking.appearance import DescriptorExtractor
-from droptrack.tracking.session import TrackingSession
+from droptrack.tracking.session import Recordable, TrackingSession
 from droptrack.tracking.tracker import Tracker
 
 
@@ -37,8 +38,10 @@ class FrameTracker:
         results: Results,
         *,
         live: bool = False,
+        shape: bool = False,
     ) -> None:
-        self._session = TrackingSession(tracker, live=live)
+        self._session = TrackingSession(tracker, live=live, further=SHAPE if shape else ())
+        self._shape = shape
         self._describe, self._results = describe, results
         load_loops()  # now, not while the first frame waits
 
@@ -48,12 +51,19 @@ class FrameTracker:
         index, frame, decoded = item
         with results.times.measure("track"):
             descriptors = self._describe(frame, detections.boxes)
-            centres, measured = centres_of_mass(frame, detections.boxes)
-            final = session.add(index, detections, centres, measured, descriptors)
+            found = measure_droplets(frame, detections.boxes, shape=self._shape)
+            final = session.add(
+                index,
+                detections,
+                found.centres,
+                found.measured,
+                descriptors,
+                Recordable(found.boxes, found.shapes),
+            )
         results.n_frames += 1
         results.last_frame = index
         results.n_detections += len(detections)
-        results.n_measured += int(measured.sum())
+        results.n_measured += int(found.measured.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, session)
         results.write(final)
@@ -74,15 +84,16 @@ def track_frames(
     batch: int = 1,
     live: bool = False,
     log: DetectionLog | None = None,
+    shape: bool = False,
 ) -> Iterator[int]:
     """Detect and track numbered frames into `results`; yields the number of frames done.
 
     `live`: no frame waits for others. When one is done, the newest goes next, and those that came
     in between are dropped, so that a frame is never older than two take. Otherwise every frame is
     tracked, `batch` at once through the network. `log` has the detections of an earlier run, and
-    gets those of this one.
+    gets those of this one. `shape`: measure sizes and shapes, too.
     """
-    frame_tracker = FrameTracker(tracker, describe, results, live=live)
+    frame_tracker = FrameTracker(tracker, describe, results, live=live, shape=shape)
     running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
     engine = detector.engine
     max_running = 0 if live else 2 * engine.parallel  # so that the network waits for nobody

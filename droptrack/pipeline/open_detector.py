@@ -14,7 +14,7 @@ from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
-from droptrack.measurement import centre_of_mass
+from droptrack.measurement import droplets
 from droptrack.network.bundled import find_network
 from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.pipeline.config import DetectorConfig
@@ -58,7 +58,7 @@ def open_detector(
     network = resized(network, *canvas.network)
     with explained(say):
         decoding.load_loops()
-        centre_of_mass.load_loops()
+        droplets.load_loops()
     detector = choose_detector(
         Network(
             network,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from droptrack.data.report import Value
 from droptrack.data.trajectories import Trajectories
+from droptrack.data.units import Units
 
 DRAWN_STEP_PX = 2.0  # minimum distance between points of a drawn line
 MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
@@ -17,14 +18,20 @@ MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
 
 @dataclass(kw_only=True)
 class DropletPath:
-    """One droplet's path; `points` are x, y of its line for drawing."""
+    """One droplet's path; `points` are x, y of its line for drawing.
+
+    Lengths and lines are those of the frames in which no edge cuts the droplet.
+    """
 
     first_frame: int
     last_frame: int
-    x: float
-    y: float
+    first_whole: int | None = None
+    last_whole: int = 0
+    x: float = nan  # in the last frame in which it was whole
+    y: float = nan
     n_observed: int = 0
     n_bridged: int = 0
+    n_diameters: int = 0
     diameters_px: float = 0.0  # their sum
     length_px: float = 0.0
     step_px: float = DRAWN_STEP_PX
@@ -37,12 +44,16 @@ class DropletPath:
 
     @property
     def diameter_px(self) -> float:
-        """Its mean diameter sqrt(w h)."""
-        return self.diameters_px / (self.n_observed + self.n_bridged)
+        """Its mean diameter, where that is known."""
+        return self.diameters_px / self.n_diameters if self.n_diameters else nan
 
-    def add(self, last_frame: int, xs: list[float], ys: list[float]) -> None:
-        """Go on through later positions to a later frame."""
-        self.last_frame = last_frame
+    def add(self, frames: list[int], xs: list[float], ys: list[float]) -> None:
+        """Go on through later positions."""
+        if not frames:
+            return
+        if self.first_whole is None:
+            self.first_whole, self.x, self.y = frames[0], xs[0], ys[0]
+        self.last_whole = frames[-1]
         for x, y in zip(xs, ys, strict=True):
             self.length_px += hypot(x - self.x, y - self.y)
             self.x, self.y = x, y
@@ -63,33 +74,40 @@ class Paths:
     def add(self, rows: Trajectories) -> None:
         """Take rows that follow on those before."""
         order = np.argsort(rows.track_id, kind="stable")
-        frames, xs, ys = (column[order].tolist() for column in (rows.frame, rows.x, rows.y))
         ids, starts = np.unique(rows.track_id[order], return_index=True)
-        diameters = np.add.reduceat(np.sqrt(rows.boxes[order, 2] * rows.boxes[order, 3]), starts)
+        frames = rows.frame[order].tolist()
+        whole = rows.columns.get("at_edge", np.zeros(len(rows)))[order] != 1
+        diameter = rows.columns.get("diameter_px", np.sqrt(rows.boxes[:, 2:].prod(axis=1)))[order]
+        known = np.isfinite(diameter)
+        diameters = np.add.reduceat(np.where(known, diameter, 0), starts).tolist()
+        n_known = np.add.reduceat(known, starts, dtype=np.int64).tolist()
         observed = np.add.reduceat(rows.observed[order], starts, dtype=np.int64)
         ends = [*starts[1:].tolist(), len(rows)]
-        for track_id, start, end, n_observed, diameters_px in zip(
-            ids.tolist(), starts.tolist(), ends, observed.tolist(), diameters.tolist(), strict=True
+        for k, (track_id, start, end) in enumerate(
+            zip(ids.tolist(), starts.tolist(), ends, strict=True)
         ):
-            one = slice(start, end)
-            born = DropletPath(
-                first_frame=frames[start], last_frame=frames[start], x=xs[start], y=ys[start]
-            )
+            born = DropletPath(first_frame=frames[start], last_frame=frames[start])
             path = self._paths.setdefault(track_id, born)
-            path.add(frames[end - 1], xs[one], ys[one])
-            path.n_observed += n_observed
-            path.n_bridged += end - start - n_observed
-            path.diameters_px += diameters_px
+            path.last_frame = frames[end - 1]
+            some = order[start:end][whole[start:end]]
+            path.add(*(column[some].tolist() for column in (rows.frame, rows.x, rows.y)))
+            path.n_observed += int(observed[k])
+            path.n_bridged += end - start - int(observed[k])
+            path.n_diameters += n_known[k]
+            path.diameters_px += diameters[k]
 
     def each(self) -> Collection[DropletPath]:
         """The path of each droplet."""
         return self._paths.values()
 
-    def table(self) -> list[dict[str, Value]]:
+    def table(self, units: Units | None = None) -> list[dict[str, Value]]:
         """One row a droplet: when and how far it went."""
+        units = units or Units()
         table: list[dict[str, Value]] = []
         for track_id, path in sorted(self._paths.items()):
-            n_steps = path.last_frame - path.first_frame
+            n_steps = path.last_whole - (path.first_whole or 0)
+            diameter = path.diameter_px
+            speed = path.length_px / n_steps if n_steps else nan
             table.append(
                 {
                     "track_id": track_id,
@@ -97,11 +115,15 @@ class Paths:
                     "last_frame": path.last_frame,
                     "n_observed": path.n_observed,
                     "n_bridged": path.n_bridged,
-                    "diameter_px": path.diameter_px,
+                    "diameter_px": diameter,
                     "path_px": path.length_px,
-                    "speed_px_per_frame": path.length_px / n_steps if n_steps else nan,
+                    "speed_px_per_frame": speed,
                 }
             )
+            if units.um_per_px is not None:
+                table[-1]["diameter_um"] = units.um_per_px * diameter
+                if units.fps is not None:
+                    table[-1]["speed_um_per_s"] = units.um_per_px * units.fps * speed
         return table
 
     def lines(self) -> dict[int, NDArray[np.float32]]:
@@ -109,4 +131,5 @@ class Paths:
         return {
             track_id: np.array([*path.points, path.x, path.y], np.float32).reshape(-1, 2)
             for track_id, path in sorted(self._paths.items())
+            if path.first_whole is not None
         }

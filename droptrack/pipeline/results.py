@@ -12,6 +12,7 @@ from droptrack.data.frames import Frame
 from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
+from droptrack.data.units import Units
 from droptrack.pipeline.paths import Paths
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.tracking.recorder import Recorded
@@ -19,7 +20,15 @@ from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.smoothing import COLUMNS as SMOOTHED
 from droptrack.tracking.smoothing import Smoother
 
+AT_EDGE = "at_edge"
+FIXED = ("frame", "x", "y", "w", "h")  # columns that other units are of
 FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
+
+
+def columns_with(units: Units, shape: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """The names of the columns that follow the fixed ones."""
+    columns = FURTHER_COLUMNS + shape
+    return columns + units.names(FIXED + columns)
 
 
 @dataclass
@@ -29,6 +38,7 @@ class Results:
     rows: TrajectoryWriter
     video: AnnotatedVideo | None = None
     times: StageTimes = field(default_factory=StageTimes)
+    units: Units = field(default_factory=Units)
     n_frames: int = 0
     last_frame: int = -1  # its number
     n_dropped: int = 0  # frames of a live source that came while others were at work
@@ -53,8 +63,18 @@ class Results:
     def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
         for recorded, columns in smoothed:
             rows = recorded.rows
-            extra = (rows.boxes[:, 0], rows.boxes[:, 1], recorded.measured, *columns.T)
-            self.rows.write(rows, extra)
+            further = dict(rows.columns)
+            if AT_EDGE in further:
+                further[AT_EDGE] = further[AT_EDGE] == 1  # not NaN, where gaps were bridged
+            extra = {
+                **dict(zip(BOX_CENTRE, rows.boxes.T, strict=False)),
+                **{"centre_of_mass": recorded.measured},
+                **dict(zip(SMOOTHED, columns.T, strict=True)),
+                **further,
+            }
+            fixed = dict(zip(FIXED, (rows.frame, rows.x, rows.y, *rows.boxes.T[2:]), strict=True))
+            extra |= self.units.further({**fixed, **extra})
+            self.rows.write(rows, extra.values())
             self.paths.add(rows)
 
     def show(self, index: int, frame: Frame, session: TrackingSession) -> None:
@@ -88,7 +108,7 @@ def summarise(
     `n_missing` frames could not be decoded; `seconds` are those of the whole; `doubts`: what makes
     one doubt the results.
     """
-    droplets = results.paths.table()
+    droplets = results.paths.table(results.units)
     summary: dict[str, Value] = {
         "n_frames": results.n_frames,
         "n_droplets": len(droplets),

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
@@ -14,9 +14,11 @@ from droptrack.data.samples import N_SAMPLES, sample_frames
 from droptrack.data.sources.opencv_names import printable
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
+from droptrack.data.units import Units
 from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
 from droptrack.errors import DroptrackError
 from droptrack.interrupts import whole
+from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.network.darknet_cfg import cfg_text
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
@@ -25,7 +27,7 @@ from droptrack.pipeline.doubts import doubts
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
-from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
+from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.progress import progress_bar
@@ -70,6 +72,13 @@ class _Opened:
         """Frames that are to come, as far as the container knows; 0 where nobody does."""
         known = [n for n in (self.source.info.n_frames, max_frames) if n]
         return min(known, default=0)
+
+    def units(self, config: TrackingConfig) -> Units:
+        """What the user says a pixel and a frame are; the video's frames a second by default."""
+        units = config.units
+        if units.fps is None and units.um_per_px is not None and self.source.info.fps > 0:
+            return replace(units, fps=self.source.info.fps)
+        return units
 
 
 def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) -> TrackingRun:
@@ -154,6 +163,7 @@ def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "network": f"{opened.network.cfg.path}, {opened.network.weights}",
         "weights sha256": sha256_of(opened.network.weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
+        **opened.units(config).about(),
     }
 
 
@@ -185,17 +195,21 @@ def _track(
     """Track frame by frame into the folder's files; also tells what ended it too early."""
     problem: DroptrackError | None = None
     times = StageTimes()
+    units = opened.units(config)
+    columns = columns_with(units, SHAPE if config.shape else ())
     with (
         _detection_log(config, opened, folder, say) as log,
-        TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows,
+        TrajectoryWriter(folder / "trajectories.csv", about, columns) as rows,
     ):
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             try:
-                video = AnnotatedVideo(_annotated_video(folder, opened.source.info, say), times)
+                video = AnnotatedVideo(
+                    _annotated_video(folder, opened.source.info, say), times, units
+                )
             except DroptrackError as error:  # the analysis does not depend on it
                 problem = error
-        results = Results(rows, video, times)
+        results = Results(rows, video, times, units)
         done = track_frames(
             islice(opened.source.numbered(), config.max_frames or None),
             opened.network.detector,
@@ -205,6 +219,7 @@ def _track(
             batch=config.batch,
             live=opened.live,
             log=log,
+            shape=config.shape,
         )
         try:
             _show_progress(done, opened.n_frames(config.max_frames), shown=progress)

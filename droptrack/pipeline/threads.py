@@ -16,6 +16,7 @@ import numpy as np
 
 from droptrack.data.frames import Frame
 from droptrack.data.stage_times import StageTimes
+from droptrack.data.units import PIXELS, Units
 from droptrack.data.video import VideoWriter
 from droptrack.pipeline.drawing import Annotator
 from droptrack.tracking.recorder import Row
@@ -132,8 +133,8 @@ class AnnotatedVideo:
     It waits only when the writing falls READ_AHEAD frames behind.
     """
 
-    def __init__(self, writer: VideoWriter, times: StageTimes) -> None:
-        self._writer, self._times = writer, times
+    def __init__(self, writer: VideoWriter, times: StageTimes, units: Units = PIXELS) -> None:
+        self._writer, self._times, self._units = writer, times, units
         self._queue: queue.Queue[tuple[int, Frame, list[Row]] | None] = queue.Queue(READ_AHEAD)
         self._problem: BaseException | None = None
         self._thread = threading.Thread(target=self._write, name="write", daemon=True)
@@ -152,7 +153,7 @@ class AnnotatedVideo:
             raise self._problem
 
     def _write(self) -> None:
-        annotator = Annotator()
+        annotator = Annotator(self._units)
         while (item := self._queue.get()) is not None:
             if self._problem is not None:
                 continue  # so that nobody waits for room in the queue

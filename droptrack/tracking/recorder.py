@@ -18,7 +18,7 @@ from droptrack.data.trajectories import Trajectories, concatenate
 from droptrack.tracking.tracker import Update
 
 NO_TRACK = 0  # the identity of rows that do not count
-# columns of a row's values; those before are x, y, cx, cy
+# columns of a row's values; those before are x, y, cx, cy, those after N_COLUMNS are further ones
 WIDTH, HEIGHT, SCORE, MEASURED = 4, 5, 6, 7
 N_COLUMNS = 8
 
@@ -26,7 +26,8 @@ N_COLUMNS = 8
 class Row(NamedTuple):
     """One droplet in one frame.
 
-    `values` are x, y, box cx, cy, w, h, the score, and 1 where x, y is a measured centre of mass.
+    `values` are x, y, box cx, cy, w, h, the score, 1 where x, y is a measured centre of mass, and
+    the further columns.
     """
 
     track_id: int
@@ -35,7 +36,7 @@ class Row(NamedTuple):
 
 
 class _Rows(NamedTuple):
-    """Rows of one frame: identities (N,), which may change, and values (N, 8) as of `Row`."""
+    """Rows of one frame: identities (N,), which may change, and values (N, 8 + F) as of `Row`."""
 
     ids: Rows
     values: Floats
@@ -77,10 +78,12 @@ class Recorder:
     """Collects rows; `hold` is the number of later frames that may change them.
 
     These are the tracker's `delay` and its `max_age` together. Frames come in the order of their
-    numbers, some of which a live source leaves out.
+    numbers, some of which a live source leaves out. `further` names the further columns of the
+    rows, which are NaN where gaps are bridged.
     """
 
-    def __init__(self, hold: int) -> None:
+    def __init__(self, hold: int, further: tuple[str, ...] = ()) -> None:
+        self._further = further
         self._added: deque[int] = deque(maxlen=hold + 1)  # the last frames
         self._frames: dict[int, list[_Rows]] = {}
         self._last: dict[int, int] = {}  # the frame in which each living track was last seen
@@ -94,9 +97,15 @@ class Recorder:
         centres: Floats,
         measured: Bools,
         update: Update,
+        further: Floats | None = None,
     ) -> None:
-        """Take a frame's M detections, their centres (M, 2), those measured (M,), their tracks."""
-        values = np.column_stack([centres, detections.boxes, detections.scores, measured])
+        """Take a frame's M detections, their centres (M, 2), those measured (M,), their tracks.
+
+        And their further columns (M, F), NaN without.
+        """
+        if further is None:
+            further = np.full((len(detections), len(self._further)), np.nan)
+        values = np.column_stack([centres, detections.boxes, detections.scores, measured, further])
         for new, old in update.merged:
             self._merge(old, new)
         self._added.append(frame)
@@ -157,6 +166,7 @@ class Recorder:
             share = (between - start) / (frame - start)
             values = (1 - share) * before + share * now
             values[[SCORE, MEASURED]] = 0
+            values[N_COLUMNS:] = np.nan
             bridge = _Rows(np.array([track_id]), values[None], observed=False)
             self._frames.setdefault(between, []).append(bridge)
 
@@ -176,7 +186,8 @@ class Recorder:
 
     def _take(self, frames: Iterable[int], wanted: set[int]) -> Recorded:
         """Hand out the rows of some tracks."""
-        taken = [(0, _Rows(np.zeros(0, np.int64), np.zeros((0, N_COLUMNS)), observed=True))]
+        none = np.zeros((0, N_COLUMNS + len(self._further)))
+        taken = [(0, _Rows(np.zeros(0, np.int64), none, observed=True))]
         taken += [(frame, rows) for frame in frames for rows in self._frames.pop(frame)]
         counts = [len(rows.ids) for _, rows in taken]
         frame = np.repeat([frame for frame, _ in taken], counts)
@@ -194,6 +205,7 @@ class Recorder:
             boxes=values[:, 2:SCORE],
             scores=values[:, SCORE],
             observed=observed[order],
+            columns=dict(zip(self._further, values[:, N_COLUMNS:].T, strict=True)),
         )
         return Recorded(trajectories, values[:, MEASURED] > 0)
 

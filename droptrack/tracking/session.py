@@ -1,11 +1,22 @@
 """Detections, frame by frame -> final rows of trajectories: a tracker and its recorder."""
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.detections import Detections
 from droptrack.tracking.recorder import NO_ROWS, Recorded, Recorder, Row
 from droptrack.tracking.tracker import Tracker
+
+
+class Recordable(NamedTuple):
+    """What rows say of M detections: their boxes (M, 4) px, and the further columns (M, F)."""
+
+    boxes: Floats
+    further: Floats
+
 
 FRAMES_AT_ONCE = 10  # whose rows are given together; one by one they take half as long again
 
@@ -15,12 +26,15 @@ class TrackingSession:
 
     A frame whose number is left out could not be decoded: the droplets moved on and were missed in
     it. In a `live` source such frames were only not looked at, and nothing was missed in them.
+    `further` names the further columns of the rows.
     """
 
-    def __init__(self, tracker: Tracker, *, live: bool = False) -> None:
+    def __init__(
+        self, tracker: Tracker, *, live: bool = False, further: tuple[str, ...] = ()
+    ) -> None:
         self.n_frames = 0
         self._tracker, self._live = tracker, live
-        self._recorder = Recorder(tracker.delay + tracker.max_age)
+        self._recorder = Recorder(tracker.delay + tracker.max_age, further)
         self._next: int | None = None
 
     @property
@@ -35,11 +49,13 @@ class TrackingSession:
         centres: Floats,
         measured: Bools,
         descriptors: Floats,
+        recorded: Recordable | None = None,
     ) -> Recorded:
         """Take the M detections of a frame; returns rows that the frames before it made final.
 
         `centres` (M, 2): of the droplets, px; `measured` (M,): which of them are centres of mass,
-        not of boxes; `descriptors` (M, D): see `Tracker`. Rows come with every tenth frame, each
+        not of boxes; `descriptors` (M, D): see `Tracker`; `recorded`: what rows say, where that is
+        more than what the tracker goes by. Rows come with every tenth frame, each
         once.
         """
         due = self.n_frames > 0 and self.n_frames % FRAMES_AT_ONCE == 0
@@ -47,7 +63,7 @@ class TrackingSession:
         expected = frame if self._live or self._next is None else self._next
         for missed in range(expected, frame):
             self._track(missed, detections[:0], centres[:0], measured[:0], descriptors[:0])
-        self._track(frame, detections, centres, measured, descriptors)
+        self._track(frame, detections, centres, measured, descriptors, recorded)
         self._next = frame + 1
         self.n_frames += 1
         return final
@@ -72,6 +88,11 @@ class TrackingSession:
         centres: Floats,
         measured: Bools,
         descriptors: Floats,
+        recorded: Recordable | None = None,
     ) -> None:
         update = self._tracker.update(detections.boxes, descriptors)
-        self._recorder.add(frame, detections, centres, measured, update)
+        further = None
+        if recorded is not None:
+            detections = replace(detections, boxes=recorded.boxes)
+            further = recorded.further
+        self._recorder.add(frame, detections, centres, measured, update, further)

@@ -22,6 +22,7 @@ COLUMNS = ("smooth_x", "smooth_y", "velocity_x", "velocity_y")
 # standard deviations in droplet diameters
 CENTRE_OF_MASS_NOISE = 0.005
 BOX_CENTRE_NOISE = 0.04
+EDGE_NOISE = 0.5  # where the image cuts the droplet, its position is hardly known
 ACCELERATION = 0.03  # a frame²
 FIRST_VELOCITY = 1.0  # a frame
 
@@ -53,6 +54,8 @@ class Smoother:
             return
         self._held.append(recorded)
         noise = np.where(recorded.measured, CENTRE_OF_MASS_NOISE, BOX_CENTRE_NOISE)
+        if (at_edge := rows.columns.get("at_edge")) is not None:
+            noise = np.where(at_edge == 1, EDGE_NOISE, noise)
         columns = np.column_stack(
             [rows.x, rows.y, np.sqrt(rows.boxes[:, 2] * rows.boxes[:, 3]), noise]
         )

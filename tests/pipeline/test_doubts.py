@@ -11,9 +11,9 @@ CFG, _ = find_network()
 
 def path(x: float, y: float, *, frames: int = 40, step: float = 2.0) -> DropletPath:
     """A droplet of 20 px that moves `step` px a frame along x."""
-    one = DropletPath(first_frame=0, last_frame=0, x=x, y=y, n_observed=frames)
-    one.add(frames - 1, [x + step * k for k in range(frames)], [y] * frames)
-    one.diameters_px = 20.0 * frames
+    one = DropletPath(first_frame=0, last_frame=frames - 1, n_observed=frames)
+    one.add(list(range(frames)), [x + step * k for k in range(frames)], [y] * frames)
+    one.diameters_px, one.n_diameters = 20.0 * frames, frames
     return one
 
 

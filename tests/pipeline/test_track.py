@@ -23,7 +23,7 @@ from droptrack.detection.engines.opencv_dnn import has_cuda
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import average_precision
 from droptrack.evaluation.trajectories import evaluate
-from droptrack.measurement.centre_of_mass import centres_of_mass
+from droptrack.measurement.droplets import Measured, measure_droplets
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg
 from droptrack.network.darknet_cfg import read_cfg
 from droptrack.pipeline import loop as pipeline
@@ -226,15 +226,15 @@ def test_what_was_tracked_before_a_problem_is_kept(sine: Path, tmp_path: Path) -
 def test_ctrl_c_keeps_what_was_tracked(
     sine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    centres, calls = centres_of_mass, []
+    calls = []
 
-    def interrupted(frame: Frame, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def interrupted(frame: Frame, boxes: np.ndarray, *, shape: bool) -> Measured:
         calls.append(1)
         if len(calls) > 5:
             raise KeyboardInterrupt
-        return centres(frame, boxes)
+        return measure_droplets(frame, boxes, shape=shape)
 
-    monkeypatch.setattr(pipeline, "centres_of_mass", interrupted)
+    monkeypatch.setattr(pipeline, "measure_droplets", interrupted)
     message = fails("track", str(sine / "video.avi"), "--out", str(tmp_path))
     assert "interrupted after 5 frames" in message
     rows, _ = read_trajectories(tmp_path / "trajectories.csv")

@@ -1,0 +1,112 @@
+"""Outline -> size and shape of a droplet.
+
+Integrals over the droplet are sums over its N_RAYS rays, by the trapezium rule, which converges
+faster than any power for smooth outlines. Lengths in px.
+"""
+
+import numpy as np
+
+from droptrack.data.arrays import Bools, Floats
+from droptrack.measurement.outlines import DIRECTIONS, N_RAYS, Outlines
+
+COLUMNS = (
+    *("area_px2", "diameter_px", "major_px", "minor_px", "angle_rad", "perimeter_px"),
+    *("circularity", "deformation", "outline_seen", "at_edge"),
+)
+PRODUCTS = np.column_stack([DIRECTIONS**2, DIRECTIONS.prod(axis=1)])
+DIAMETER, OUTLINE_SEEN, AT_EDGE = map(COLUMNS.index, ("diameter_px", "outline_seen", "at_edge"))
+MIN_SEEN = 0.5  # share of rays that must meet an edge for a droplet to be measured
+MAX_GAP = N_RAYS // 6  # rays in a row that may meet none
+OUTLIER_RAYS = 4  # an edge that is off those so many rays before and after it is not the droplet's,
+OUTLIER, OUTLIER_PX = 0.2, 1.5  # if it is off by this share of the radius, and this much
+MIN_SEEN_OF_CUT = 0.35  # share of the outline from which a whole circle is told
+MAX_RESIDUAL, MAX_RESIDUAL_PX = 0.01, 0.1  # of points from that circle, rms
+
+
+def without_outliers(radii: Floats) -> Floats:
+    """Radii (N, K) without those that stick out of, or into, the outline before and after them."""
+    with np.errstate(invalid="ignore"):
+        before = radii - np.roll(radii, OUTLIER_RAYS, axis=1)
+        after = radii - np.roll(radii, -OUTLIER_RAYS, axis=1)
+        limit = OUTLIER * radii + OUTLIER_PX
+        out = ((before > limit) & (after > limit)) | ((before < -limit) & (after < -limit))
+    return np.where(out, np.nan, radii)
+
+
+def whole_outlines(radii: Floats) -> tuple[Floats, Bools]:
+    """Radii (N, K) with gaps bridged, and for which droplets (N,) that may be done."""
+    seen = np.isfinite(radii)
+    good: Bools = np.asarray(seen.mean(axis=1) >= MIN_SEEN)
+    whole = radii.copy()
+    places = np.arange(N_RAYS)
+    for n in np.flatnonzero(good & ~seen.all(axis=1)).tolist():
+        at = np.flatnonzero(seen[n])
+        good[n] = np.diff(at, append=at[0] + N_RAYS).max() <= MAX_GAP + 1
+        whole[n] = np.interp(places, at, radii[n, at], period=N_RAYS)
+    whole[~good] = np.nan
+    return whole, good
+
+
+def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floats]:
+    """Quantities (N, 8), the first of COLUMNS, of whole outlines; their centres and boxes (N, 4).
+
+    The axes are those of the ellipse with the outline's second moments of area, as in
+    scikit-image's regionprops; `angle_rad` is that of the major axis, from x towards y, in
+    (-pi/2, pi/2]. Circularity is 4 pi area / perimeter^2, deformation Taylor's
+    (major - minor) / (major + minor) (G. I. Taylor 1934). Rows with NaN stay NaN.
+    """
+    share = 2 * np.pi / N_RAYS
+    square = radii**2
+    area = square.sum(axis=1) * (share / 2)
+    first = np.einsum("nk,kc->nc", square * radii, DIRECTIONS) * (share / 3) / area[:, None]
+    second = np.einsum("nk,kc->nc", square * square, PRODUCTS) * (share / 4) / area[:, None]
+    xx, yy = (second[:, :2] - first**2).T
+    xy = second[:, 2] - first[:, 0] * first[:, 1]
+    middle, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    major, minor = 4 * np.sqrt(middle + spread), 4 * np.sqrt(np.maximum(middle - spread, 0))
+    angle = np.arctan2(2 * xy, xx - yy) / 2
+    following = np.roll(radii, -1, axis=1)
+    chords = np.sqrt(square + following**2 - (2 * np.cos(share)) * radii * following)
+    perimeter = chords.sum(axis=1) * (share / 2 / np.sin(share / 2))  # exact of a circle
+    points = radii[..., None] * DIRECTIONS
+    columns = np.column_stack(
+        [
+            *(area, np.sqrt(4 / np.pi * area), major, minor, angle, perimeter),
+            *(4 * np.pi * area / perimeter**2, (major - minor) / (major + minor)),
+        ]
+    )
+    high, low = _extremes(points), -_extremes(-points)
+    boxes = np.hstack([origins + (low + high) / 2, high - low])
+    return columns, origins + first, boxes
+
+
+def _extremes(points: Floats) -> Floats:
+    """The maxima (N, 2) of closed curves (N, K, 2), each by a parabola through three points."""
+    at = points.argmax(axis=1)
+    before, here, after = (
+        np.take_along_axis(points, (at + shift)[:, None] % N_RAYS, axis=1)[:, 0]
+        for shift in (-1, 0, 1)
+    )
+    bend = 2 * here - before - after
+    with np.errstate(divide="ignore", invalid="ignore"):
+        above = (after - before) ** 2 / (8 * bend)
+    return np.asarray(here + np.where(bend > 1e-9, above, 0))
+
+
+def whole_circles(outlines: Outlines) -> Floats:
+    """Centres (N, 2) px of the circles of which outlines show a part; NaN where they show none.
+
+    The circle with the smallest squares (Kasa 1976) through the edges that were seen; it must fit
+    them to a hundredth of its radius.
+    """
+    centres = np.full((len(outlines.radii), 2), np.nan)
+    points, seen = outlines.points(), np.isfinite(outlines.radii)
+    for n in np.flatnonzero(seen.mean(axis=1) >= MIN_SEEN_OF_CUT).tolist():
+        x, y = (points[n, seen[n]] - outlines.origins[n]).T
+        table = np.column_stack([2 * x, 2 * y, np.ones(len(x))])
+        solution, *_ = np.linalg.lstsq(table, x * x + y * y, rcond=None)
+        radius = np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0))
+        off = np.hypot(x - solution[0], y - solution[1]) - radius
+        if np.sqrt((off**2).mean()) <= MAX_RESIDUAL * radius + MAX_RESIDUAL_PX:
+            centres[n] = outlines.origins[n] + solution[:2]
+    return centres

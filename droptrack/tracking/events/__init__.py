@@ -1,0 +1,1 @@
+"""Trajectories -> what happened: coalescence, break-up, entering, leaving, passages, residence."""

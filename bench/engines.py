@@ -224,7 +224,7 @@ def random_full(folder: Path) -> tuple[Cfg, Path]:
         map_int8=(0, 0),
         pruning=NO_PRUNING,
     )
-    write_calibration(path, cfg, calibration)
+    write_calibration(path, calibration)
     return cfg, path
 
 

@@ -8,7 +8,7 @@ import typer
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.darknet_dataset import read_data_file
 from droptrack.network.bundled import find_network
-from droptrack.options import CfgOption, SizeOption, WeightsOption
+from droptrack.options import CfgOption, WeightsOption
 from droptrack.training.calibration import PRUNING_ERROR, calibrate
 
 app = new_app()
@@ -22,7 +22,12 @@ def main(
     ],
     weights: WeightsOption = None,
     cfg: CfgOption = None,
-    size: SizeOption = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH", help="For this input only, px; default: for inputs of any size."
+        ),
+    ] = None,
     images: Annotated[
         int, typer.Option(min=1, help="Measure the ranges on the first N training images.")
     ] = 200,
@@ -41,7 +46,13 @@ def main(
     """
     network, path = find_network(weights, cfg, size)
     written, calibration = calibrate(
-        read_data_file(data), network, path, images=images, checked=checked, error=prune
+        read_data_file(data),
+        network,
+        path,
+        any_size=size is None,
+        images=images,
+        checked=checked,
+        error=prune,
     )
     for layer, channels in calibration.pruning.kept.items():
         filters = network.layers[layer].integer("filters")

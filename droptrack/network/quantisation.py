@@ -1,8 +1,8 @@
 """Post-training quantisation: the range of every layer's output, measured, checked and kept.
 
 A calibration is a small file beside the weights, valid for these weights (their sha256) at one
-input size. It has the pruning of the network (`pruning`), for 8 bits and for whatever a CPU
-computes in by `--precision auto`, the ranges, and what both cost in mAP.
+input size, or at any. It has the pruning of the network (`pruning`), for 8 bits and for whatever a
+CPU computes in by `--precision auto`, the ranges, and what both cost in mAP.
 """
 
 import hashlib
@@ -45,7 +45,11 @@ class Quantisation:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """What int8 needs to know of a network; ranges by the layer's index."""
+    """What int8 needs to know of a network; ranges by the layer's index.
+
+    `width` and `height` of the input it holds for; 0 and 0: for any, and the mAPs are means over
+    the sizes it was checked at.
+    """
 
     weights_sha256: str
     width: int
@@ -113,12 +117,13 @@ def _origins(cfg: Cfg, index: int) -> set[int]:
 
 
 def find_calibration(weights: Path, cfg: Cfg) -> Calibration | None:
-    """The calibration of weights for the cfg's input size, if there is one that fits them.
+    """The calibration of weights for the cfg's input size, or else for any, if one fits them.
 
     Raises DroptrackError for a file that is damaged.
     """
     digest = sha256_of(weights)
-    for path in _places(weights, cfg, digest):
+    size = f"-{cfg.width}x{cfg.height}"
+    for path in (*_places(weights, digest, size), *_places(weights, digest, "")):
         try:
             with path.open("rb") as file, np.load(file) as arrays:
                 calibration = _from_arrays(dict(arrays))
@@ -134,7 +139,7 @@ def find_calibration(weights: Path, cfg: Cfg) -> Calibration | None:
     return None
 
 
-def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path:
+def write_calibration(weights: Path, calibration: Calibration) -> Path:
     """Keep a calibration beside the weights, or in the user's cache where that is not writable.
 
     Returns the file. Raises DroptrackError if int8 costs more than MAX_LOSS on images as they
@@ -147,7 +152,8 @@ def write_calibration(weights: Path, cfg: Cfg, calibration: Calibration) -> Path
             f"{MAX_LOSS}; use bf16, or calibrate on more images"
         )
     arrays = _to_arrays(calibration)
-    for path in _places(weights, cfg, calibration.weights_sha256):
+    size = f"-{calibration.width}x{calibration.height}" if calibration.width else ""
+    for path in _places(weights, calibration.weights_sha256, size):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path) as partial:
@@ -184,8 +190,7 @@ def _from_arrays(arrays: dict[str, Any]) -> Calibration:
     return Calibration(**{**about, **maps, "ranges": ranges, "pruning": pruning})
 
 
-def _places(weights: Path, cfg: Cfg, digest: str) -> tuple[Path, Path]:
-    size = f"{cfg.width}x{cfg.height}"
+def _places(weights: Path, digest: str, size: str) -> tuple[Path, Path]:
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "droptrack"
-    beside = weights.with_name(f"{weights.stem}-int8-{size}.npz")
-    return beside, cache / f"{digest}-int8-{size}.npz"
+    beside = weights.with_name(f"{weights.stem}-int8{size}.npz")
+    return beside, cache / f"{digest}-int8{size}.npz"

@@ -1,8 +1,10 @@
 """Calibrate a network for 8 bits: prune it, measure its ranges, check the cost in mAP."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from droptrack.data.arrays import Float32s
@@ -10,6 +12,7 @@ from droptrack.data.darknet_dataset import DataSet, read_image
 from droptrack.data.degradation import degrade
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector, Engine
+from droptrack.detection.scale import STRIDE
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.average_precision import MAX_IOU, MIN_SCORE
 from droptrack.evaluation.network_scores import (
@@ -18,7 +21,7 @@ from droptrack.evaluation.network_scores import (
     read_labelled,
     score_detections,
 )
-from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.network.darknet_weights import Weights, read_weights
 from droptrack.network.pruning import (
     NO_PRUNING,
@@ -40,6 +43,8 @@ from droptrack.progress import with_progress
 
 PRUNING_ERROR = 2e-4  # docs/performance.md
 MAX_LOSSES = (MAX_LOSS, 0.01)  # of mAP, on images as they are and degraded; above, prune less
+CHECKED_SIZES = (0.5, 1.0, 1.4)  # of the cfg's input, for a calibration that holds for any
+ZOOMS = (0.35, 1.6)  # that images are shown at for it
 TRIES = 3  # errors to prune for, before nothing is pruned
 PRUNED_LESS = 4  # how much smaller the error is at the next try
 
@@ -49,16 +54,19 @@ def calibrate(
     cfg: Cfg,
     weights: Path,
     *,
+    any_size: bool = False,
     images: int = 200,
     checked: int = 300,
     error: float = PRUNING_ERROR,
 ) -> tuple[Path, Calibration]:
     """Prune a network, measure the ranges that int8 needs, check the cost in mAP, and keep it.
 
-    Ranges come from the first `images` training images, mAPs from the first `checked` validation
-    images; `error` is what pruning may change (`choose_pruning`), 0 for no pruning. Where int8
-    costs more than MAX_LOSSES, less is pruned. Returns the file written. Raises DroptrackError
-    where OpenVINO is not installed, and where int8 costs more than MAX_LOSS without pruning, too.
+    It holds for the cfg's input size; with `any_size` for others, too: then images are also shown
+    larger and smaller, and the cost is the mean of that at CHECKED_SIZES times the cfg's. Ranges
+    come from the first `images` training images, mAPs from the first `checked` validation images;
+    `error` is what pruning may change (`choose_pruning`), 0 for no pruning. Where int8 costs more
+    than MAX_LOSSES, less is pruned. Returns the file written. Raises DroptrackError where OpenVINO
+    is not installed, and where int8 costs more than MAX_LOSS without pruning, too.
     """
     try:
         from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
@@ -66,27 +74,49 @@ def calibrate(
         raise DroptrackError("calibrating needs: pip install 'droptrack[openvino]'") from None
     values = read_weights(weights, cfg)
     train, valid = data.train[:images], data.valid[:checked]
-    map_fp32 = mean_average_precisions(OpenVinoEngine(cfg, values, "fp32", MIN_SCORE), valid)
-    for pruning in prunings(cfg, values, train, error):
-        smaller = pruned(cfg, values, pruning)
-        layers = quantised_layers(cfg)
-        ranges = merge_ranges(cfg, output_ranges(*smaller, layers, _frames(train, "ranges")))
-        engine = OpenVinoEngine(*smaller, "int8", MIN_SCORE, ranges)
+    cfgs = _checked_sizes(cfg) if any_size else [cfg]
+
+    def maps(engines: Iterable[Engine]) -> tuple[float, float]:
+        return _mean([mean_average_precisions(engine, valid) for engine in engines])
+
+    map_fp32 = maps(OpenVinoEngine(one, values, "fp32", MIN_SCORE) for one in cfgs)
+    frames = functools.partial(_frames, train, zoomed=any_size)
+    for pruning in prunings(cfg, values, frames, error):
+        smaller, kept = pruned(cfg, values, pruning)
+        ranges = merge_ranges(
+            cfg, output_ranges(smaller, kept, quantised_layers(cfg), frames("ranges"))
+        )
+        engines = (
+            OpenVinoEngine(resized(smaller, one.width, one.height), kept, "int8", MIN_SCORE, ranges)
+            for one in cfgs
+        )
         calibration = Calibration(
             weights_sha256=sha256_of(weights),
-            width=cfg.width,
-            height=cfg.height,
+            width=0 if any_size else cfg.width,
+            height=0 if any_size else cfg.height,
             ranges=ranges,
             n_calibrated=len(train),
             n_checked=len(valid),
             map_fp32=map_fp32,
-            map_int8=mean_average_precisions(engine, valid),
+            map_int8=maps(engines),
             pruning=pruning,
         )
         losses = zip(calibration.losses, MAX_LOSSES, strict=True)
         if all(loss <= allowed for loss, allowed in losses):
             break
-    return write_calibration(weights, cfg, calibration), calibration
+    return write_calibration(weights, calibration), calibration
+
+
+def _checked_sizes(cfg: Cfg) -> list[Cfg]:
+    return [
+        resized(cfg, *(STRIDE * round(side * factor / STRIDE) for side in (cfg.width, cfg.height)))
+        for factor in CHECKED_SIZES
+    ]
+
+
+def _mean(maps: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    plain, degraded = np.mean(maps, axis=0).tolist()
+    return plain, degraded
 
 
 def mean_average_precisions(engine: Engine, images: Sequence[Path]) -> tuple[float, float]:
@@ -107,22 +137,46 @@ def _degraded(labelled: Iterable[LabelledImage]) -> Iterator[LabelledImage]:
         yield degrade(image, rng), ground_truth
 
 
-def _frames(paths: Sequence[Path], stage: str) -> Iterator[Frame]:
-    """Each image as it is, then degraded, with a progress bar."""
+def _frames(paths: Sequence[Path], stage: str, *, zoomed: bool) -> Iterator[Frame]:
+    """Each image as it is, then degraded, with a progress bar.
+
+    `zoomed`: every other one is shown larger or smaller, as an input of another size shows it.
+    """
     rng = np.random.default_rng(0)
-    for path in with_progress(paths, len(paths), stage, "images"):
+    for number, path in enumerate(with_progress(paths, len(paths), stage, "images")):
         frame = read_image(path)
+        if zoomed and number % 2:
+            frame = _zoomed(frame, float(np.exp(rng.uniform(*np.log(ZOOMS)))))
         yield frame
         yield degrade(frame, rng)
 
 
-def prunings(cfg: Cfg, weights: Weights, images: Sequence[Path], error: float) -> Iterator[Pruning]:
-    """The pruning for an error, for a quarter of it, for a sixteenth of it, and no pruning."""
+def _zoomed(frame: Frame, factor: float) -> Frame:
+    """A frame as large as before, of the middle of it enlarged, or of itself, smaller, repeated."""
+    height, width = frame.shape[:2]
+    if factor > 1:
+        h, w = round(height / factor), round(width / factor)
+        top, left = (height - h) // 2, (width - w) // 2
+        part = frame[top : top + h, left : left + w]
+        return np.asarray(cv2.resize(part, (width, height)), np.uint8)
+    small = cv2.resize(frame, None, fx=factor, fy=factor)
+    below, right = height - small.shape[0], width - small.shape[1]
+    repeated = np.pad(small, ((0, below), (0, right), (0, 0)), mode="symmetric")
+    return np.asarray(repeated, np.uint8)
+
+
+def prunings(
+    cfg: Cfg, weights: Weights, frames: Callable[[str], Iterable[Frame]], error: float
+) -> Iterator[Pruning]:
+    """The pruning for an error, for a quarter of it, for a sixteenth of it, and no pruning.
+
+    `frames`: shows the images that tell which channels matter, under the name of a stage.
+    """
     from droptrack.network.onnx_layers import folded_convolutions
 
     if error:
         kernels = {i: kernel for i, (kernel, _) in folded_convolutions(cfg, weights).items()}
-        moments = measure_moments(cfg, weights, kernels, _frames(images, "channels"))
+        moments = measure_moments(cfg, weights, kernels, frames("channels"))
         for divided in range(TRIES):
             yield choose_pruning(cfg, kernels, moments, error / PRUNED_LESS**divided)
     yield NO_PRUNING

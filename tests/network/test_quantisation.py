@@ -103,12 +103,16 @@ def test_ranges_are_those_of_the_layers_outputs_and_eight_bits_stay_close() -> N
     assert np.abs(ours - theirs).max() < 0.02 * spread
 
 
-def calibration(weights: Path, fallen: tuple[float, float] = (0.989, 0.892)) -> Calibration:
+def calibration(
+    weights: Path,
+    fallen: tuple[float, float] = (0.989, 0.892),
+    size: tuple[int, int] = (960, 480),
+) -> Calibration:
     ranges = dict.fromkeys(quantised_layers(CFG), (-1.0, 10.0))
     return Calibration(
         weights_sha256=sha256_of(weights),
-        width=960,
-        height=480,
+        width=size[0],
+        height=size[1],
         ranges=ranges,
         n_calibrated=8,
         n_checked=9,
@@ -122,7 +126,7 @@ def test_a_calibration_is_kept_beside_the_weights_and_holds_for_them_only(tmp_pa
     weights = tmp_path / "mine.weights"
     weights.write_bytes(b"one")
     kept = calibration(weights)
-    path = write_calibration(weights, CFG, kept)
+    path = write_calibration(weights, kept)
     assert path == tmp_path / "mine-int8-960x480.npz"
     assert find_calibration(weights, CFG) == kept
     assert find_calibration(weights, resized(CFG, 416, 224)) is None
@@ -134,6 +138,17 @@ def test_a_calibration_is_kept_beside_the_weights_and_holds_for_them_only(tmp_pa
             find_calibration(weights, CFG)
 
 
+def test_a_calibration_for_any_size_holds_where_none_is_for_that_size(tmp_path: Path) -> None:
+    weights = tmp_path / "mine.weights"
+    weights.write_bytes(b"one")
+    for_any, for_one = calibration(weights, size=(0, 0)), calibration(weights)
+    assert write_calibration(weights, for_any) == tmp_path / "mine-int8.npz"
+    assert find_calibration(weights, CFG) == for_any
+    write_calibration(weights, for_one)
+    assert find_calibration(weights, CFG) == for_one
+    assert find_calibration(weights, resized(CFG, 416, 224)) == for_any
+
+
 def test_a_calibration_goes_to_the_cache_where_the_weights_cannot_have_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,7 +157,7 @@ def test_a_calibration_goes_to_the_cache_where_the_weights_cannot_have_it(
     weights.write_bytes(b"one")
     (tmp_path / "mine-int8-960x480.partial.npz").mkdir()  # so that it cannot be written
     kept = calibration(weights)
-    path = write_calibration(weights, CFG, kept)
+    path = write_calibration(weights, kept)
     assert path.parent == tmp_path / "cache" / "droptrack"
     assert find_calibration(weights, CFG) == kept
 
@@ -154,8 +169,25 @@ def test_eight_bits_that_cost_too_much_are_refused(
     weights = tmp_path / "mine.weights"
     weights.write_bytes(b"one")
     with pytest.raises(DroptrackError, match=r"int8 is refused: mAP falls from 0\.9900"):
-        write_calibration(weights, CFG, calibration(weights, fallen))
+        write_calibration(weights, calibration(weights, fallen))
     assert find_calibration(weights, CFG) is None
+
+
+@needs_openvino
+def test_the_command_calibrates_for_any_size(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    for _ in make_dataset(data, Recipe(scene="b", images=12, valid=6, seed=1), workers=1):
+        pass
+    weights = tmp_path / "mine.weights"
+    shutil.copy(BUNDLED_WEIGHTS, weights)
+    arguments = ["calibrate", "--weights", str(weights), "--cfg", str(CFG.path)]
+    result = CliRunner().invoke(app, [*arguments, "--data", str(data / "obj.data")])
+    assert result.exit_code == 0, result.output
+    for size in ((320, 320), (1216, 608)):
+        kept = find_calibration(weights, resized(CFG, *size))
+        assert kept is not None
+        assert (kept.width, kept.height) == (0, 0)
+        assert kept.losses[0] <= quantisation.MAX_LOSS
 
 
 @needs_openvino

@@ -19,6 +19,8 @@ from droptrack.measurement.shapes import (
     without_outliers,
 )
 
+MAX_RATIO = 1.3  # of the sizes of an outline's box and the detector's, either way
+MAX_APART = 0.25  # of their centres, in sides of the box
 EDGE_PX = 1.0  # a box that ends nearer to the image's edge is cut by it
 
 
@@ -66,6 +68,9 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
     whole, good = whole_outlines(radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)
     shapes[:, :OUTLINE_SEEN], middles, outline_boxes = measure_shapes(centres, whole)
+    another = good & ~_alike(outline_boxes, boxes)  # as the shell round a core
+    shapes[another, :OUTLINE_SEEN] = np.nan
+    good &= ~another
     seen = np.isfinite(radii)
     shapes[:, OUTLINE_SEEN] = seen.mean(axis=1)
     cut = _cut(boxes, traced.cut & ~seen, seen, (grey.shape[1], grey.shape[0]))
@@ -93,6 +98,14 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
         boxes=np.where(good[:, None], outline_boxes, boxes),
         shapes=shapes,
     )
+
+
+def _alike(outlined: Floats, boxes: Floats) -> Bools:
+    """Whether outlines' boxes (N, 4) are about as large as those given, and at their places."""
+    ratio = np.sqrt(outlined[:, 2:].prod(axis=1) / boxes[:, 2:].prod(axis=1))
+    apart = np.abs(outlined[:, :2] - boxes[:, :2]) / boxes[:, 2:]
+    near = (apart <= MAX_APART).all(axis=1)
+    return np.asarray((ratio <= MAX_RATIO) & (ratio >= 1 / MAX_RATIO) & near)
 
 
 def _cut(boxes: Floats, cut: Bools, seen: Bools, size: tuple[int, int]) -> Bools:

@@ -87,7 +87,7 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
             cut=traced.cut[cut],
             rings=traced.rings[cut],
         )
-        circles = whole_circles(of_cut)
+        circles = whole_circles(of_cut, boxes[cut])
         told = np.isfinite(circles[:, 0])
         rows = np.flatnonzero(cut)
         centres[rows[told]] = circles[told]
@@ -102,10 +102,10 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
 
 def _alike(outlined: Floats, boxes: Floats) -> Bools:
     """Whether outlines' boxes (N, 4) are about as large as those given, and at their places."""
-    ratio = np.sqrt(outlined[:, 2:].prod(axis=1) / boxes[:, 2:].prod(axis=1))
-    apart = np.abs(outlined[:, :2] - boxes[:, :2]) / boxes[:, 2:]
-    near = (apart <= MAX_APART).all(axis=1)
-    return np.asarray((ratio <= MAX_RATIO) & (ratio >= 1 / MAX_RATIO) & near)
+    size, expected = (np.sqrt(one[:, 2:].prod(axis=1)) for one in (outlined, boxes))
+    alike = (size <= MAX_RATIO * expected) & (expected <= MAX_RATIO * size)
+    near = np.abs(outlined[:, :2] - boxes[:, :2]) <= MAX_APART * boxes[:, 2:]
+    return np.asarray(alike & near.all(axis=1))
 
 
 def _cut(boxes: Floats, cut: Bools, seen: Bools, size: tuple[int, int]) -> Bools:

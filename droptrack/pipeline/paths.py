@@ -100,9 +100,7 @@ class Paths:
                     "last_frame": path.last_frame,
                     "n_observed": path.n_observed,
                     "n_bridged": path.n_bridged,
-                    "diameter_px": path.diameters_px / path.n_diameters
-                    if path.n_diameters
-                    else nan,
+                    "diameter_px": diameter,
                     "path_px": path.length_px,
                     "speed_px_per_frame": speed,
                 }

@@ -324,7 +324,16 @@ def test_what_cannot_be_is_refused_in_one_line(ours: Path) -> None:
     (folder / "um.csv").write_text(
         "LABEL,ID,TRACK_ID,POSITION_X,POSITION_Y,FRAME\n,,,,,\n,,,,,\n,,,(micron),(micron),\n"
     )
+    (folder / "far.xml").write_text(
+        '<annotations><track id="0"><box frame="1e12" xtl="1" ytl="1" xbr="2" ybr="2"/></track>'
+        "</annotations>"
+    )
+    (folder / "nan.xml").write_text(
+        '<Tracks spaceUnits="pixel"><particle><detection t="0" x="nan" y="1"/></particle></Tracks>'
+    )
     out = folder / "out.csv"
+    assert "frames should be 0 to 10000000" in refused(folder / "far.xml", out)
+    assert "should have a number x, not nan" in refused(folder / "nan.xml", out)
     assert "has a DTD" in refused(bomb, out)
     assert "cannot be read as XML" in refused(folder / "half.xml", out)
     assert "no file of TrackMate's" in refused(folder / "other.xml", out)
@@ -350,3 +359,16 @@ def test_units_given_to_the_command_stay_in_the_file(ours: Path) -> None:
     _, about = read_trajectories(out)
     assert (about["um per px"], about["frames per s"]) == ("0.5", "2000")
     assert json.loads(json.dumps(about))["video"] == ABOUT["video"]
+
+
+def test_columns_that_are_no_numbers_are_left_out_and_said(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path, home = tmp_path / "other.parquet", tmp_path / "home.csv"
+    columns = {"frame": [0, 1], "track_id": [1, 1], "x": [1.0, 2], "y": [3.0, 4]}
+    parquet.write_table(pyarrow.table({**columns, "who": ["a", "b"], "n": [5, 6]}), path)
+    assert "column who is no numbers and is left out" in convert(path, home)
+    rows, _ = read_trajectories(home)
+    assert list(rows.columns) == ["n"]
+    parquet.write_table(pyarrow.table({**columns, "x": ["a", "b"]}), path)
+    assert "column x should be numbers" in refused(path, tmp_path / "two.csv")

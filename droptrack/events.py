@@ -34,6 +34,13 @@ def main(
             help="Stays in a rectangle by its corners, or in a polygon; repeat for more.",
         ),
     ] = None,
+    plots: Annotated[
+        str,
+        typer.Option(
+            help="Figures to draw as PDF and PNG: all, or some of sizes,deformation,speed,"
+            "kymograph,paths."
+        ),
+    ] = "",
     um_per_px: UmPerPxOption = None,
     known_length: KnownLengthOption = None,
     fps: FpsOption = None,
@@ -55,7 +62,7 @@ def main(
     table: Table = described(reader(trajectories, units.um_per_px), units, size)
     for note in table.notes:
         say(f"{trajectories}: {note}")
-    config = EventsConfig(lines=tuple(line or ()), regions=tuple(region or ()))
+    config = EventsConfig(lines=tuple(line or ()), regions=tuple(region or ()), plots=plots)
     write_events(out, table, config).print()
     typer.echo(f"results in {out}")
 

@@ -19,6 +19,8 @@ from droptrack.measurement.shapes import (
     without_outliers,
 )
 
+MAX_RATIO = 1.3  # of the sizes of an outline's box and the detector's, either way
+MAX_APART = 0.25  # of their centres, in sides of the box
 EDGE_PX = 1.0  # a box that ends nearer to the image's edge is cut by it
 
 
@@ -66,6 +68,9 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
     whole, good = whole_outlines(radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)
     shapes[:, :OUTLINE_SEEN], middles, outline_boxes = measure_shapes(centres, whole)
+    another = good & ~_alike(outline_boxes, boxes)  # as the shell round a core
+    shapes[another, :OUTLINE_SEEN] = np.nan
+    good &= ~another
     seen = np.isfinite(radii)
     shapes[:, OUTLINE_SEEN] = seen.mean(axis=1)
     cut = _cut(boxes, traced.cut & ~seen, seen, (grey.shape[1], grey.shape[0]))
@@ -82,7 +87,7 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
             cut=traced.cut[cut],
             rings=traced.rings[cut],
         )
-        circles = whole_circles(of_cut)
+        circles = whole_circles(of_cut, boxes[cut])
         told = np.isfinite(circles[:, 0])
         rows = np.flatnonzero(cut)
         centres[rows[told]] = circles[told]
@@ -93,6 +98,14 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
         boxes=np.where(good[:, None], outline_boxes, boxes),
         shapes=shapes,
     )
+
+
+def _alike(outlined: Floats, boxes: Floats) -> Bools:
+    """Whether outlines' boxes (N, 4) are about as large as those given, and at their places."""
+    size, expected = (np.sqrt(one[:, 2:].prod(axis=1)) for one in (outlined, boxes))
+    alike = (size <= MAX_RATIO * expected) & (expected <= MAX_RATIO * size)
+    near = np.abs(outlined[:, :2] - boxes[:, :2]) <= MAX_APART * boxes[:, 2:]
+    return np.asarray(alike & near.all(axis=1))
 
 
 def _cut(boxes: Floats, cut: Bools, seen: Bools, size: tuple[int, int]) -> Bools:

@@ -30,14 +30,16 @@ BEYOND_PX = 1.0  # or, in search of a ring, behind the middle between the two bo
 NESTED = 0.8  # a box's centre within so much of another box: it lies in that one, not beside it
 MIN_CONTRAST = 12.0  # grey levels of a ring
 RING_SHARE = 0.5  # of the difference of inside and outside that a ring goes beyond them, at least
+NOISE = 4.0  # by how many median deviations of what is around the highest of a ray is above it
 MIN_FREE = 0.25  # share of rays that must reach the surroundings for a ring to be told by them
+MIN_FREE_FILLED = 0.5  # the same where the droplet differs from its surroundings in any case
 MIN_DEPTH = 0.15  # share of the height by which a film must be darker than its droplets
 MIN_RISE = 0.5  # height of what is behind a film
 MIN_RISEN = 0.5  # share of rays between crowded droplets on which there is something behind a film
 MIN_PEAK = 0.3  # of the ring's height elsewhere that a ray's must have
 SETTINGS = (
-    *(REACH, MARGIN_PX, INNER, BEYOND_PX, NESTED, CORE),
-    *(MIN_CONTRAST, RING_SHARE, MIN_FREE, MIN_DEPTH, MIN_RISE, MIN_RISEN, MIN_PEAK),
+    *(REACH, MARGIN_PX, INNER, BEYOND_PX, NESTED, CORE, MIN_CONTRAST, RING_SHARE, NOISE),
+    *(MIN_FREE, MIN_FREE_FILLED, MIN_DEPTH, MIN_RISE, MIN_RISEN, MIN_PEAK),
 )
 SAMPLES_AT_ONCE = 2_000_000
 # what limits a ray
@@ -225,7 +227,7 @@ def _rings(
     for m, (_, contrast, middle) in enumerate(levels.tolist()):
         some = last[m] > first[m]
         free = some & (limits[m] == FREE)
-        alone = free.sum() >= MIN_FREE * N_RAYS
+        alone = free.sum() >= (MIN_FREE if contrast == 0 else MIN_FREE_FILLED) * N_RAYS
         if not alone:
             free = some
         if free.sum() < MIN_FREE * N_RAYS:
@@ -239,7 +241,8 @@ def _rings(
         outside = float(np.median(outer[m, free])) if alone or crowded else middle
         top, bottom = float(np.median(highest[m, free])), float(np.median(lowest[m, free]))
         over, under = top - max(middle, outside), min(middle, outside) - bottom
-        if max(over, under) >= max(MIN_CONTRAST, RING_SHARE * abs(middle - outside)):
+        noise = NOISE * np.median(np.abs(outer[m, free] - np.median(outer[m, free])))
+        if max(over, under) - noise >= max(MIN_CONTRAST, RING_SHARE * abs(middle - outside)):
             rings[m] = True
             scales[m] = outside, (top if over > under else bottom) - outside
     return rings, scales

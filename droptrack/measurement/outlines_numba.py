@@ -24,7 +24,9 @@ class Settings(NamedTuple):
     core: float
     min_contrast: float
     ring_share: float
+    noise: float
     min_free: float
+    min_free_filled: float
     min_depth: float
     min_rise: float
     min_risen: float
@@ -42,7 +44,7 @@ class Ray(NamedTuple):
     profile: Floats
 
 
-_SETTINGS = types.NamedUniTuple(types.float64, 13, Settings)  # type: ignore[no-untyped-call]
+_SETTINGS = types.NamedUniTuple(types.float64, 15, Settings)  # type: ignore[no-untyped-call]
 SIGNATURE = types.void(
     types.Array(types.uint8, 2, "C", readonly=True),
     types.float64[:, ::1],
@@ -209,7 +211,7 @@ def _ring(
         usable = ends[ray, 2] > ends[ray, 0]
         n_usable += usable
         n_free += usable and limits[ray] == FREE
-    alone = n_free >= s.min_free * k
+    alone = n_free >= (s.min_free if levels[1] == 0 else s.min_free_filled) * k
     n = n_free if alone else n_usable
     if n_usable < s.min_free * k:
         return False, 0.0, 0.0
@@ -236,7 +238,8 @@ def _ring(
     outside = np.median(values[0]) if alone or crowded else inside
     highest, lowest = np.median(values[1]), np.median(values[2])
     over, under = highest - max(inside, outside), min(inside, outside) - lowest
-    if max(over, under) < max(s.min_contrast, s.ring_share * abs(inside - outside)):
+    noise = s.noise * np.median(np.abs(values[0] - np.median(values[0])))
+    if max(over, under) - noise < max(s.min_contrast, s.ring_share * abs(inside - outside)):
         return False, 0.0, 0.0
     return True, outside, (highest if over > under else lowest) - outside
 

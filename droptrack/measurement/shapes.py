@@ -93,11 +93,11 @@ def _extremes(points: Floats) -> Floats:
     return np.asarray(here + np.where(bend > 1e-9, above, 0))
 
 
-def whole_circles(outlines: Outlines) -> Floats:
+def whole_circles(outlines: Outlines, boxes: Floats) -> Floats:
     """Centres (N, 2) px of the circles of which outlines show a part; NaN where they show none.
 
     The circle with the smallest squares (Kasa 1976) through the edges that were seen; it must fit
-    them to a hundredth of its radius.
+    them to a hundredth of its radius, and the part that is in the boxes (N, 4).
     """
     centres = np.full((len(outlines.radii), 2), np.nan)
     points, seen = outlines.points(), np.isfinite(outlines.radii)
@@ -107,6 +107,8 @@ def whole_circles(outlines: Outlines) -> Floats:
         solution, *_ = np.linalg.lstsq(table, x * x + y * y, rcond=None)
         radius = np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 0))
         off = np.hypot(x - solution[0], y - solution[1]) - radius
-        if np.sqrt((off**2).mean()) <= MAX_RESIDUAL * radius + MAX_RESIDUAL_PX:
-            centres[n] = outlines.origins[n] + solution[:2]
+        fits = np.sqrt((off**2).mean()) <= MAX_RESIDUAL * radius + MAX_RESIDUAL_PX
+        side, centre = boxes[n, 2:].max(), outlines.origins[n] + solution[:2]
+        if fits and radius <= side and (np.abs(centre - boxes[n, :2]) <= side).all():
+            centres[n] = centre
     return centres

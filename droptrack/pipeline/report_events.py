@@ -1,7 +1,7 @@
 """Trajectories of a file -> tables of events, passages and stays, and a report of them."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from droptrack.data.files import replacing
 from droptrack.data.formats.table import Table
 from droptrack.data.report import Report, Value
-from droptrack.data.trajectories import write_trajectories
+from droptrack.data.trajectories import Trajectories, write_trajectories
 from droptrack.data.units import Units
 from droptrack.errors import DroptrackError
 from droptrack.tracking.events.lineage import Event, Kind, find_events
@@ -27,10 +27,14 @@ from droptrack.tracking.events.passages import (
 
 @dataclass(frozen=True, kw_only=True)
 class EventsConfig:
-    """What to look for: lines and regions as they are given, see `events.passages`."""
+    """What to look for: lines and regions as they are given, see `events.passages`; plots' names.
+
+    Of plots, see `events.plots.parse_plots`; none where it is empty.
+    """
 
     lines: tuple[str, ...] = ()
     regions: tuple[str, ...] = ()
+    plots: str = ""
 
 
 def write_events(out: Path, table: Table, config: EventsConfig) -> Report:
@@ -40,6 +44,7 @@ def write_events(out: Path, table: Table, config: EventsConfig) -> Report:
     """
     lines = [parse_line(text, table.size) for text in config.lines]
     regions = [parse_region(text, table.size) for text in config.regions]
+    draw = _plots_of(config.plots)
     if (out / "trajectories.csv").exists():
         raise DroptrackError(f"{out}: has a trajectories.csv already; choose another --out")
     events, rows = find_events(table.rows, table.size)
@@ -70,9 +75,24 @@ def write_events(out: Path, table: Table, config: EventsConfig) -> Report:
         "lines": list(config.lines),
         "regions": list(config.regions),
     }
+    draw(out, rows, events, table)
     report = Report("Events", settings, summary, [])
     report.write_json(out / "report.json")
     return report
+
+
+def _plots_of(
+    names: str,
+) -> Callable[[Path, Trajectories, Sequence[Event], Table], None]:
+    """What draws the plots of these names; refuses other names before anything is written."""
+    if not names:
+        return lambda *_: None
+    from droptrack.tracking.events.plots import draw_plots, parse_plots
+
+    plots = parse_plots(names)
+    return lambda out, rows, events, table: draw_plots(
+        out, plots, rows, events, table.units, table.size
+    )
 
 
 def _event_row(event: Event, units: Units) -> dict[str, Any]:

@@ -12,7 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.lattice_boltzmann.camera import Camera, capture
-from data_gen.lattice_boltzmann.recording import Recording, SimulationRecorder, ground_truth_rows
+from data_gen.lattice_boltzmann.recording import (
+    Recording,
+    SimulationRecorder,
+    axes_of,
+    ground_truth_rows,
+)
 from data_gen.simulate import app
 from droptrack.data.trajectories import read_trajectories
 from droptrack.data.video import Video
@@ -86,7 +91,8 @@ def test_ground_truth_is_that_of_a_drawn_droplet() -> None:
     rows = ground_truth_rows(simulation, 4, scale=2)
     y_0, x_0 = state.origins[0]
     expected = [4, 1, 2 * (x_0 + 15), 2 * (60 - y_0 - 15)]
-    np.testing.assert_allclose(rows[0], [*expected, *expected[2:], 40, 20, 800])
+    axes = [4 * 40 / 12**0.5, 4 * 20 / 12**0.5, 0]  # a rectangle's second moment is L^2 / 12
+    np.testing.assert_allclose(rows[0], [*expected, *expected[2:], 40, 20, 800, *axes], atol=1e-9)
     assert rows[:, 1].tolist() == [1, 3]
 
 
@@ -252,3 +258,12 @@ def test_without_numba_the_command_says_what_to_install(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1
     assert "droptrack[simulate]" in done.stderr
+
+
+def test_the_axes_of_nodes_are_those_of_their_ellipse() -> None:
+    """Nodes of a turned ellipse with semi-axes of 30 and 18, y down: its axes, and its angle."""
+    y, x = np.mgrid[-40:41, -40:41]
+    along, across = x * np.cos(0.4) + y * np.sin(0.4), y * np.cos(0.4) - x * np.sin(0.4)
+    inside = (along / 30) ** 2 + (across / 18) ** 2 < 1
+    major, minor, angle = axes_of(x[inside], y[inside])
+    assert (major, minor, angle) == pytest.approx((60, 36, 0.4), rel=5e-3)

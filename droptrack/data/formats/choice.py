@@ -85,6 +85,7 @@ FORMATS = {
     FormatName.coco: Format(write=labels.write_coco, holds=frozenset({BOXES, SCORES, "area_px2"})),
     FormatName.darknet: Format(write=labels.write_darknet, holds=frozenset({BOXES})),
 }
+WITH_ABOUT = {FormatName.csv, FormatName.parquet, FormatName.geff, FormatName.coco}
 BY_SUFFIX = {
     ".csv": FormatName.csv,
     ".parquet": FormatName.parquet,
@@ -128,9 +129,11 @@ def format_of(path: Path) -> FormatName:
 def lost_in(name: FormatName, table: Table) -> list[str]:
     """What of a table a format cannot hold."""
     holds, rows = FORMATS[name].holds, table.rows
+    lost = ["# lines"] if table.about and name not in WITH_ABOUT else []
+    if name is FormatName.trackmate_xml and (np.unique_counts(rows.track_id).counts == 1).any():
+        lost.append("identities of droplets seen once")
     if holds == EVERYTHING:
-        return []
-    lost = []
+        return lost
     centred = np.allclose(rows.boxes[:, :2], np.column_stack([rows.x, rows.y]), atol=1e-6)
     if POSITIONS not in holds and not centred:
         lost.append("x, y (boxes' centres take their place)")

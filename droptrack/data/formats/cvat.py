@@ -12,6 +12,7 @@ from droptrack.data.formats.xml_files import number, read_xml, write_xml
 from droptrack.errors import DroptrackError
 
 LABEL = "droplet"
+MAX_FRAMES = 10_000_000
 TOLERANCE_PX = 0.25  # by which a side may be off between key frames
 SIDES = ("xtl", "ytl", "xbr", "ybr")
 
@@ -89,6 +90,8 @@ def read_cvat(path: Path) -> Table:
     last = int(stop) if stop.strip().isdigit() else -1
     if root.findtext("meta/task/stop_frame") is None:
         last -= 1
+    if last > MAX_FRAMES:
+        raise DroptrackError(f"{path}: frames should be {MAX_FRAMES} or less, not {last}")
     found: list[list[float]] = []
     other = 0
     for k, track in enumerate(root.iter("track")):
@@ -119,6 +122,8 @@ def _rows(path: Path, track: Element, track_id: int, last: int) -> list[list[flo
         start, sides = int(number(path, box, "frame")), _sides(path, box)
         occluded = float(box.attrib.get("occluded") == "1")
         following = boxes[k + 1] if k + 1 < len(boxes) else None
+        if not 0 <= start <= MAX_FRAMES:
+            raise DroptrackError(f"{path}: frames should be 0 to {MAX_FRAMES}, not {start}")
         end = int(number(path, following, "frame")) if following is not None else last + 1
         then = sides if following is None else _sides(path, following)
         if following is not None and following.attrib.get("outside") == "1":

@@ -59,7 +59,14 @@ def table_of_columns(path: Path, found: dict[str, NDArray[Any]], about: dict[str
     for name in ("frame", "track_id", "x", "y"):
         if name not in found:
             raise DroptrackError(f"{path}: has no column {name}")
-    column = {name: np.asarray(values, np.float64) for name, values in found.items()}
+    column, notes = {}, []
+    for name, values in found.items():
+        try:
+            column[name] = np.asarray(values, np.float64)
+        except (ValueError, TypeError):
+            if name in OURS:
+                raise DroptrackError(f"{path}: column {name} should be numbers") from None
+            notes.append(f"column {name} is no numbers and is left out")
     x, y, zero = column["x"], column["y"], np.zeros(len(column["x"]))
     centre = [column.get(name, column[name[-1]]) for name in BOX_CENTRE]
     return table_of(
@@ -71,8 +78,9 @@ def table_of_columns(path: Path, found: dict[str, NDArray[Any]], about: dict[str
         y=y,
         scores=column.get("score"),
         observed=column["observed"] != 0 if "observed" in column else None,
-        columns={name: found[name] for name in found if name not in OURS},
+        columns={name: found[name] for name in column if name not in OURS},
         about=about,
+        notes=notes,
     )
 
 
@@ -93,7 +101,10 @@ def read_parquet(path: Path) -> Table:
             stored = pyarrow.parquet.read_table(path)
     except pyarrow.ArrowException as error:
         raise DroptrackError(f"{path}: cannot be read as Parquet: {error}") from None
-    about = json.loads((stored.schema.metadata or {}).get(ABOUT, b"{}"))
+    try:
+        about = dict(json.loads((stored.schema.metadata or {}).get(ABOUT, b"{}")))
+    except (ValueError, TypeError) as error:
+        raise DroptrackError(f"{path}: metadata {ABOUT.decode()}: {error}") from None
     columns = {name: stored[name].to_numpy() for name in stored.column_names}
     return table_of_columns(path, columns, about)
 

@@ -1,5 +1,6 @@
 """XML, read safely and written escaped."""
 
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -38,9 +39,12 @@ def write_xml(path: Path, root: Element) -> None:
 def number(path: Path, element: Element, name: str) -> float:
     """An attribute as a number; raises DroptrackError where it is none."""
     try:
-        return float(element.attrib[name])
+        value = float(element.attrib[name])
+        if not math.isfinite(value):
+            raise ValueError
     except (KeyError, ValueError):
         raise DroptrackError(
             f"{path}: <{element.tag}> should have a number {name}, not "
             f"{element.attrib.get(name, 'none')}"
         ) from None
+    return value

@@ -144,7 +144,7 @@ def _break_up(join: Join, cuts: dict[int, list[int]]) -> Event:
     )
 
 
-PIECES = 1_000_000  # a track's piece k has the number track_id + k PIECES, until all are numbered
+PIECES = 10**12  # a track's piece k has the number track_id + k PIECES, until all are numbered
 
 
 def _numbers(pieces: Sequence[tuple[int, int]]) -> tuple[int, ...]:

@@ -75,7 +75,8 @@ def test_everything_comes_home(name: str, ours: Path) -> None:
         pytest.importorskip("geff")
     out = ours.parent / name
     said = convert(ours, out, *([] if "." in name else ["--to", name]))
-    assert "cannot hold" not in said
+    assert ("cannot hold # lines\n" in said) == ("." not in name)
+    assert ("cannot hold" in said) == ("." not in name)
     rows, about = back(out)
     expected = three_droplets()
     for field in ("frame", "track_id", "observed"):
@@ -91,7 +92,11 @@ def test_everything_comes_home(name: str, ours: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "to", "lost"),
     [
-        ("t.xml", "trackmate-xml", "boxes, which rows are bridged gaps"),
+        (
+            "t.xml",
+            "trackmate-xml",
+            "identities of droplets seen once, boxes, which rows are bridged gaps",
+        ),
         ("t.xml", "trackmate-tracks", "boxes, scores, which rows are bridged gaps, diameter_px"),
         ("t.csv", "trackmate-csv", "boxes, which rows are bridged gaps, area_px2"),
         ("t.txt", "mot", "x, y (boxes' centres take their place), which rows are bridged gaps"),
@@ -105,7 +110,7 @@ def test_what_comes_home_is_what_was_held_and_the_rest_is_said(
     if name.endswith("xml"):
         pytest.importorskip("defusedxml")
     out = ours.parent / ("out_" + name)
-    assert f"cannot hold {lost}" in convert(ours, out, "--to", to).replace(
+    assert f"cannot hold # lines, {lost}" in convert(ours, out, "--to", to).replace(
         "x, y (boxes' centres take their place), scores", "scores"
     )
     rows, _ = back(out, *(["--um-per-px", 0.5] if to.startswith("trackmate") else []))
@@ -319,7 +324,16 @@ def test_what_cannot_be_is_refused_in_one_line(ours: Path) -> None:
     (folder / "um.csv").write_text(
         "LABEL,ID,TRACK_ID,POSITION_X,POSITION_Y,FRAME\n,,,,,\n,,,,,\n,,,(micron),(micron),\n"
     )
+    (folder / "far.xml").write_text(
+        '<annotations><track id="0"><box frame="1e12" xtl="1" ytl="1" xbr="2" ybr="2"/></track>'
+        "</annotations>"
+    )
+    (folder / "nan.xml").write_text(
+        '<Tracks spaceUnits="pixel"><particle><detection t="0" x="nan" y="1"/></particle></Tracks>'
+    )
     out = folder / "out.csv"
+    assert "frames should be 0 to 10000000" in refused(folder / "far.xml", out)
+    assert "should have a number x, not nan" in refused(folder / "nan.xml", out)
     assert "has a DTD" in refused(bomb, out)
     assert "cannot be read as XML" in refused(folder / "half.xml", out)
     assert "no file of TrackMate's" in refused(folder / "other.xml", out)
@@ -345,3 +359,16 @@ def test_units_given_to_the_command_stay_in_the_file(ours: Path) -> None:
     _, about = read_trajectories(out)
     assert (about["um per px"], about["frames per s"]) == ("0.5", "2000")
     assert json.loads(json.dumps(about))["video"] == ABOUT["video"]
+
+
+def test_columns_that_are_no_numbers_are_left_out_and_said(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path, home = tmp_path / "other.parquet", tmp_path / "home.csv"
+    columns = {"frame": [0, 1], "track_id": [1, 1], "x": [1.0, 2], "y": [3.0, 4]}
+    parquet.write_table(pyarrow.table({**columns, "who": ["a", "b"], "n": [5, 6]}), path)
+    assert "column who is no numbers and is left out" in convert(path, home)
+    rows, _ = read_trajectories(home)
+    assert list(rows.columns) == ["n"]
+    parquet.write_table(pyarrow.table({**columns, "x": ["a", "b"]}), path)
+    assert "column x should be numbers" in refused(path, tmp_path / "two.csv")

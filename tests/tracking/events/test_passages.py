@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -116,6 +117,7 @@ def test_the_command_writes_tables_and_a_report(tmp_path: Path) -> None:
         ("--region", "-1,2,3,9", "lies outside"),
         ("--um-per-px", "0", "should be above 0"),
         ("--size", "0x5", "should be WxH"),
+        ("--plots", "size", "should be all, or some of sizes,deformation"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_written(
@@ -127,3 +129,25 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
     assert code == 1
     assert problem in said
     assert not (tmp_path / "out").exists()
+
+
+def test_plots_are_drawn_as_pdf_and_png(tmp_path: Path) -> None:
+    """With velocities and without deformations, which is said in the figure."""
+    rows, path = train(), tmp_path / "trajectories.csv"
+    columns = {**rows.columns, "velocity_x": np.full(len(rows), 2.5)}
+    columns |= {"velocity_y": np.zeros(len(rows)), "at_edge": (rows.x < 10).astype(float)}
+    fields = {name: getattr(rows, name) for name in ("frame", "track_id", "x", "y", "boxes")}
+    rows = Trajectories(**fields, scores=rows.scores, observed=rows.observed, columns=columns)
+    write_trajectories(path, rows, {"video": "v.avi, 200 x 100 px, 100 frames/s"})
+    out = tmp_path / "out"
+    code, said = run(path, "--out", out, "--plots", "all", "--um-per-px", 2)
+    assert code == 0, said
+    names = ("sizes", "deformation", "speed", "kymograph", "paths")
+    for name in names:
+        assert (out / f"{name}.pdf").read_bytes().startswith(b"%PDF")
+        image = cv2.imread(str(out / f"{name}.png"))
+        assert image is not None
+        assert (image < 128).any()
+    code, _ = run(path, "--out", tmp_path / "two", "--plots", "sizes,paths")
+    assert code == 0
+    assert not (tmp_path / "two" / "speed.png").exists()

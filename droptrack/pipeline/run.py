@@ -246,8 +246,10 @@ def _detection_log(
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or the number of entries of a folder."""
-    return len(list(path.iterdir())) if path.is_dir() else path.stat().st_size
+    """Bytes of a file, or the number of entries of a folder; 0 of what is neither."""
+    if path.is_dir():
+        return len(list(path.iterdir()))
+    return path.stat().st_size if path.exists() else 0
 
 
 def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:

@@ -301,6 +301,8 @@ def test_droplets_of_cameras_with_more_bits_are_found(
     track(folder, tmp_path / "out", "--no-video")
     rows, about = read_trajectories(tmp_path / "out" / "trajectories.csv")
     assert len(rows) == 4 * 12
+    track(tmp_path / "frames" / "*.tif", tmp_path / "pattern", "--no-video")
+    assert len(read_trajectories(tmp_path / "pattern" / "trajectories.csv")[0]) == 4 * 12
     assert about["grey levels"] == f"0 to {2**bits - 1}, {bits} bits, as its values show"
 
 

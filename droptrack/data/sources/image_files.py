@@ -37,7 +37,8 @@ def decode_image(path: Path) -> Image | None:
 
     The file is read here, since OpenCV does not open every name. Raises OSError.
     """
-    data = np.frombuffer(path.read_bytes(), np.uint8)
+    content = path.read_bytes()
+    data = np.frombuffer(content, np.uint8)
     if not len(data) or _png_pixels(data) > MAX_PIXELS:
         return None
     flags = cv2.IMREAD_UNCHANGED

@@ -58,6 +58,8 @@ class TiffStack:
             self._axes, self._shape = self._series.axes, self._series.shape
             self.calibration = _calibration(self._file)
             self._pages = self._all_pages()
+        except DroptrackError:
+            raise
         except Exception as error:  # noqa: BLE001  tifffile raises all kinds for damaged files
             raise DroptrackError(f"{path}: cannot be read as TIFF: {_line(error)}") from None
         counts = [
@@ -66,9 +68,9 @@ class TiffStack:
         self._outer = [n for _, n in counts]
         if len(self._pages) > math.prod(self._outer):  # one series after the other
             counts = [("T", len(self._pages))]
-        self._order = _frame_order(dict_of(counts), self._channel(dict_of(counts), channel), counts)
+        self._order = _frame_order(counts, self._channel(dict(counts), channel))
         self._map = self._mapped()
-        planes = dict_of(counts).get("Z", 1)
+        planes = dict(counts).get("Z", 1)
         if planes > 1 and len(self._order) > planes:
             self.notes.append(
                 f"{path}: has {planes} planes (Z) at each time, which follow one another"
@@ -163,16 +165,10 @@ class TiffStack:
         return image[..., ::-1] if image is not None and image.ndim == 3 else image
 
 
-def dict_of(counts: Sequence[tuple[str, int]]) -> dict[str, int]:
-    """Images along each axis, by its letter."""
-    return dict(counts)
-
-
-def _frame_order(
-    counts: dict[str, int], channel: int, axes: Sequence[tuple[str, int]]
-) -> list[int]:
+def _frame_order(axes: Sequence[tuple[str, int]], channel: int) -> list[int]:
     """Which image of the file each frame is: all axes but C, times before planes."""
-    numbers = np.arange(math.prod(counts.values())).reshape([n for _, n in axes])
+    shape = [n for _, n in axes]
+    numbers = np.arange(math.prod(shape)).reshape(shape)
     names = [axis for axis, _ in axes]
     if "C" in names:
         numbers = np.take(numbers, channel, axis=names.index("C"))

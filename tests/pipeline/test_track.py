@@ -358,6 +358,9 @@ def test_options_that_would_change_nothing_are_refused(sine: Path, tmp_path: Pat
     ):
         assert f"droptrack: {option[0]} is of" in fails(*base, *option)
     assert not (tmp_path / "out").exists()
+    truth = ("evaluate", str(sine / "truth.csv"), str(sine / "truth.csv"))
+    for option in (("--weights", "a"), ("--cfg", "a"), ("--images", "9"), ("--dark",)):
+        assert f"droptrack: {option[0]} is of networks" in fails(*truth, *option)
     video = ("track", str(sine / "video.avi"), "--out", str(tmp_path / "out"))
     assert "--max-iou-distance is of" in fails(*video, "--max-iou-distance", "0.5")
     assert "--appearance-size is of" in fails(*video, "--appearance-size", "8", "8")

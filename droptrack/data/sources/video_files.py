@@ -32,13 +32,15 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         if images is None and int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == GREY_16:
             capture.release()
             capture = open_capture(name, str(path), [cv2.CAP_PROP_CONVERT_RGB, 0])
-    counted = _counts_frames(path)
     n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+    fps = float(capture.get(cv2.CAP_PROP_FPS))
+    if images is not None:
+        capture.release()
     return Source(
-        images=images or read_capture(capture, n_frames if counted else 0),
+        images=images or read_capture(capture, n_frames),
         n_frames=n_frames,
-        counted=counted,
-        fps=float(capture.get(cv2.CAP_PROP_FPS)),
+        counted=_counts_frames(path),
+        fps=fps,
     )
 
 

@@ -183,7 +183,7 @@ def _track(
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             try:
-                video = AnnotatedVideo(_annotated_video(folder, opened.source.info, say), times)
+                video = _annotated_video(folder, opened.source.info, times, say)
             except DroptrackError as error:  # the analysis does not depend on it
                 problem = error
         results = Results(rows, video, times)
@@ -257,7 +257,7 @@ def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
     return results.n_frames == config.max_frames > 0
 
 
-def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
+def _annotated_video(folder: Path, info: VideoInfo, times: StageTimes, say: Say) -> AnnotatedVideo:
     """A video for annotated frames, smaller or with another rate where MPEG-4 wants it."""
     held, smaller = mpeg4_info(info)
     path = folder / "tracked.mp4"
@@ -265,7 +265,8 @@ def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
         say(f"{path}: is {held.width} x {held.height} px, as MPEG-4 has no larger images")
     if abs(held.fps - info.fps) > MAX_RATE_ERROR:
         say(f"{path}: plays {held.fps:g} frames/s, as MPEG-4 cannot hold {info.fps:g}")
-    return VideoWriter(path, held, "mp4v")
+    shrink = (held.width, held.height) != (info.width, info.height)
+    return AnnotatedVideo(VideoWriter(path, held, "mp4v"), times, shrink=shrink)
 
 
 def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:

@@ -8,7 +8,7 @@ SPOILT ?= 0
 DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 960x480"
 
-.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench check test docs
+.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench soak check test docs
 
 setup: $(VENV)/.installed
 
@@ -72,6 +72,10 @@ bench: dev
 	$(PIP) --no-deps deep-sort-realtime
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers
 	$(BIN)/python -m bench.training
+
+# damaged files, random bytes, killed runs: what must be survived, in under 30 minutes
+soak: dev
+	$(BIN)/python -m bench.soak $(ARGS)
 
 check: dev
 	$(BIN)/ruff format --check

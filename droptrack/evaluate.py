@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from droptrack.command_line import also_call, new_app, one_line_errors
+from droptrack.command_line import also_call, new_app, one_line_errors, refuse_given
 from droptrack.data.darknet_dataset import read_data_file
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
@@ -15,6 +15,8 @@ from droptrack.evaluation.trajectories import OTHER_UNITS, evaluate
 from droptrack.network.bundled import find_network
 from droptrack.options import BackendOption, CfgOption, PrecisionOption, WeightsOption
 
+OF_NETWORKS = ("weights", "cfg", "images", "backend", "precision", "dark")
+
 app = new_app()
 also_call(__name__, evaluate)
 
@@ -22,6 +24,7 @@ also_call(__name__, evaluate)
 @app.command()
 @one_line_errors
 def main(
+    context: typer.Context,
     ground_truth: Annotated[
         Path | None,
         typer.Argument(metavar="GROUND_TRUTH.csv", help="Trajectories of all droplets."),
@@ -65,6 +68,7 @@ def main(
         if find_spec("hotcoco") is None:
             typer.echo("COCO's AP needs hotcoco: pip install 'droptrack[train]'", err=True)
     elif data is None and ground_truth is not None and result is not None:
+        refuse_given(context, OF_NETWORKS, "is of networks: it needs --data")
         report = evaluate(ground_truth, result)
         report.print(without=OTHER_UNITS)
         if json is None:

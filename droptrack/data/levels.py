@@ -19,6 +19,8 @@ DEPTHS = (8, 10, 12, 14, 16)  # bits of cameras
 MIN_USED = 0.25  # share of a depth below which only the range in use is shown
 OUTLIERS_PERCENT = 0.01  # of the pixels, at either end of that range: hot and dead ones
 
+MAX_COUNTED = 1_000_000  # pixels of an image that are sorted for it
+
 Image = NDArray[Any]
 
 
@@ -66,11 +68,12 @@ def levels_in(images: Sequence[Image]) -> Levels:
     """
     if not images or images[0].dtype in (np.uint8, np.bool_):
         return EIGHT_BITS
-    values = np.concatenate([image.ravel() for image in images])
-    values = values[np.isfinite(values)]
+    few = [_finite(image.ravel()[:: max(1, image.size // MAX_COUNTED)]) for image in images]
+    values = np.concatenate(few)
     if not len(values):
         return EIGHT_BITS
-    lowest, highest = float(values.min()), float(values.max())
+    limits = [(all_.min(), all_.max()) for one in images if len(all_ := _finite(one.ravel()))]
+    lowest, highest = float(min(limits)[0]), float(max(high for _, high in limits))
     low = float(np.percentile(values, OUTLIERS_PERCENT, method="lower"))
     high = float(np.percentile(values, 100 - OUTLIERS_PERCENT, method="higher"))
     if values.dtype.kind == "f" and lowest >= 0 and highest <= 1:
@@ -86,6 +89,10 @@ def levels_in(images: Sequence[Image]) -> Levels:
     if low == high:
         low, high = lowest, highest
     return Levels(low, high, "the range of its values") if low < high else EIGHT_BITS
+
+
+def _finite(values: Image) -> Image:
+    return values[np.isfinite(values)] if values.dtype.kind == "f" else values
 
 
 def to_pixels(image: Image, levels: Levels) -> NDArray[np.uint8]:

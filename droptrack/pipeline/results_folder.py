@@ -31,8 +31,8 @@ def results_name(source: str) -> str:
 
 def whole_name(source: str) -> str:
     """A source's name that means the same from every folder, as the results keep it."""
-    is_place = "://" in source and not Path(source).exists()
-    return printable(source if is_place else os.path.abspath(source))  # noqa: PTH100
+    is_live = not Path(source).exists() and ("://" in source or source.isdecimal())
+    return printable(source if is_live else os.path.abspath(source))  # noqa: PTH100
 
 
 def prepare_folder(folder: Path, source: str, *, overwrite: bool, resume: bool = False) -> None:
@@ -52,9 +52,10 @@ def prepare_folder(folder: Path, source: str, *, overwrite: bool, resume: bool =
         if resume and not overwrite:
             raise DroptrackError(f"{folder}: its results are complete: nothing is to be resumed")
         if not overwrite:
+            goes_on = "--resume goes on with them, " if (folder / DETECTION_LOG).exists() else ""
             raise DroptrackError(
-                f"{folder}: has results of {source} already; --overwrite replaces them, --out puts "
-                "the new ones elsewhere"
+                f"{folder}: has results of {printable(source)} already; {goes_on}--overwrite "
+                "replaces them, --out puts the new ones elsewhere"
             )
     folder.mkdir(parents=True, exist_ok=True)
 

@@ -204,9 +204,7 @@ def _track(
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             try:
-                video = AnnotatedVideo(
-                    _annotated_video(folder, opened.source.info, say), times, units
-                )
+                video = _annotated_video(folder, opened.source.info, times, units, say)
             except DroptrackError as error:  # the analysis does not depend on it
                 problem = error
         results = Results(rows, video, times, units)
@@ -270,8 +268,10 @@ def _detection_log(
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or the number of entries of a folder."""
-    return len(list(path.iterdir())) if path.is_dir() else path.stat().st_size
+    """Bytes of a file, or the number of entries of a folder; 0 of what is neither."""
+    if path.is_dir():
+        return len(list(path.iterdir()))
+    return path.stat().st_size if path.exists() else 0
 
 
 def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
@@ -279,7 +279,9 @@ def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
     return results.n_frames == config.max_frames > 0
 
 
-def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
+def _annotated_video(
+    folder: Path, info: VideoInfo, times: StageTimes, units: Units, say: Say
+) -> AnnotatedVideo:
     """A video for annotated frames, smaller or with another rate where MPEG-4 wants it."""
     held, smaller = mpeg4_info(info)
     path = folder / "tracked.mp4"
@@ -287,7 +289,8 @@ def _annotated_video(folder: Path, info: VideoInfo, say: Say) -> VideoWriter:
         say(f"{path}: is {held.width} x {held.height} px, as MPEG-4 has no larger images")
     if abs(held.fps - info.fps) > MAX_RATE_ERROR:
         say(f"{path}: plays {held.fps:g} frames/s, as MPEG-4 cannot hold {info.fps:g}")
-    return VideoWriter(path, held, "mp4v")
+    shrink = (held.width, held.height) != (info.width, info.height)
+    return AnnotatedVideo(VideoWriter(path, held, "mp4v"), times, units, shrink=shrink)
 
 
 def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:

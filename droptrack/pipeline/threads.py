@@ -128,13 +128,20 @@ class FrameReader:
 class AnnotatedVideo:
     """Draws and writes frames in a thread, so that the analysis goes on meanwhile.
 
-    Where the video is smaller than the frames, they are drawn first and then shrunk.
+    Where the video is to be smaller than the frames (`shrink`), they are drawn first.
 
     It waits only when the writing falls READ_AHEAD frames behind.
     """
 
-    def __init__(self, writer: VideoWriter, times: StageTimes, units: Units = PIXELS) -> None:
-        self._writer, self._times, self._units = writer, times, units
+    def __init__(
+        self,
+        writer: VideoWriter,
+        times: StageTimes,
+        units: Units = PIXELS,
+        *,
+        shrink: bool = False,
+    ) -> None:
+        self._writer, self._times, self._units, self._shrink = writer, times, units, shrink
         self._queue: queue.Queue[tuple[int, Frame, list[Row]] | None] = queue.Queue(READ_AHEAD)
         self._problem: BaseException | None = None
         self._thread = threading.Thread(target=self._write, name="write", daemon=True)
@@ -160,7 +167,7 @@ class AnnotatedVideo:
             try:
                 with self._times.measure("write"):
                     image = annotator.draw(*item)
-                    if image.shape[1::-1] != self._writer.size:
+                    if self._shrink:
                         shrunk = cv2.resize(image, self._writer.size, interpolation=cv2.INTER_AREA)
                         image = np.asarray(shrunk, np.uint8)
                     self._writer.write(image)

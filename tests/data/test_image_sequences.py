@@ -1,5 +1,6 @@
 """Folders of images as people have them."""
 
+import zlib
 from pathlib import Path
 
 import cv2
@@ -149,3 +150,15 @@ def test_colours_of_an_image_keep_their_order(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / name), image)
         (frame,) = Video(str(tmp_path / name))
         assert (frame == image).all()
+
+
+def test_an_image_that_claims_to_be_huge_is_not_decoded(tmp_path: Path) -> None:
+    """Found by random bytes: OpenCV takes half a minute, and gigabytes."""
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((20, 30), np.uint8))
+    data = bytearray((tmp_path / "0.png").read_bytes())
+    data[16:20] = (30_000).to_bytes(4, "big")
+    data[20:24] = (30_000).to_bytes(4, "big")
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    (tmp_path / "0.png").write_bytes(data)
+    with pytest.raises(DroptrackError, match="no frame that can be decoded"):
+        Video(str(tmp_path))

@@ -158,3 +158,23 @@ def test_pages_are_read_when_they_are_due(tmp_path: Path) -> None:
             file.write(np.full((300, 400), t, np.uint8), contiguous=False, compression="zlib")
     video = iter(Video(str(path)).numbered())
     assert [int(next(video)[1][5, 5, 0]) for _ in range(3)] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("bigtiff", [False, True])
+@pytest.mark.parametrize("to", ["itself", "many tags"])
+def test_a_chain_of_pages_that_leads_nowhere_is_refused(
+    tmp_path: Path, bigtiff: bool, to: str
+) -> None:
+    """Found by random bytes: it took for ever."""
+    path = tmp_path / "v.tif"
+    tifffile.imwrite(path, STACK[0], bigtiff=bigtiff)
+    data = bytearray(path.read_bytes())
+    first = int.from_bytes(data[8:16] if bigtiff else data[4:8], "little")
+    n_tags = int.from_bytes(data[first : first + (8 if bigtiff else 2)], "little")
+    end = first + (8 + 20 * n_tags if bigtiff else 2 + 12 * n_tags)
+    place = first if to == "itself" else len(data)
+    data[end : end + (8 if bigtiff else 4)] = place.to_bytes(8 if bigtiff else 4, "little")
+    data += (4000).to_bytes(8, "little")
+    path.write_bytes(data)
+    with pytest.raises(DroptrackError, match="page 2 is damaged"):
+        Video(str(path))

@@ -301,6 +301,8 @@ def test_droplets_of_cameras_with_more_bits_are_found(
     track(folder, tmp_path / "out", "--no-video")
     rows, about = read_trajectories(tmp_path / "out" / "trajectories.csv")
     assert len(rows) == 4 * 12
+    track(tmp_path / "frames" / "*.tif", tmp_path / "pattern", "--no-video")
+    assert len(read_trajectories(tmp_path / "pattern" / "trajectories.csv")[0]) == 4 * 12
     assert about["grey levels"] == f"0 to {2**bits - 1}, {bits} bits, as its values show"
 
 
@@ -356,6 +358,9 @@ def test_options_that_would_change_nothing_are_refused(sine: Path, tmp_path: Pat
     ):
         assert f"droptrack: {option[0]} is of" in fails(*base, *option)
     assert not (tmp_path / "out").exists()
+    truth = ("evaluate", str(sine / "truth.csv"), str(sine / "truth.csv"))
+    for option in (("--weights", "a"), ("--cfg", "a"), ("--images", "9"), ("--dark",)):
+        assert f"droptrack: {option[0]} is of networks" in fails(*truth, *option)
     video = ("track", str(sine / "video.avi"), "--out", str(tmp_path / "out"))
     assert "--max-iou-distance is of" in fails(*video, "--max-iou-distance", "0.5")
     assert "--appearance-size is of" in fails(*video, "--appearance-size", "8", "8")

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from droptrack.data.sources.source import Image
 
 TIFF_SUFFIXES = {".tif", ".tiff", ".btf", ".tf8"}
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", *TIFF_SUFFIXES}
 NUMBERS = re.compile(r"(\d+)", re.ASCII)
+MAX_PIXELS = 2**28  # of one image; a few bytes can claim any number, and take minutes
 ORIENTED = (b"Exif\0\0", b"eXIf", b"EXIF")  # in JPEG, PNG, WebP: the file may say how it is turned
 
 
@@ -35,8 +37,9 @@ def decode_image(path: Path) -> Image | None:
 
     The file is read here, since OpenCV does not open every name. Raises OSError.
     """
-    data = np.frombuffer(path.read_bytes(), np.uint8)
-    if not len(data):
+    content = path.read_bytes()
+    data = np.frombuffer(content, np.uint8)
+    if not len(data) or _png_pixels(data) > MAX_PIXELS:
         return None
     flags = cv2.IMREAD_UNCHANGED
     if path.suffix.lower() not in TIFF_SUFFIXES and any(
@@ -48,3 +51,11 @@ def decode_image(path: Path) -> Image | None:
     except cv2.error:  # more pixels than it takes, for one
         return None
     return None if image is None else np.asarray(image)
+
+
+def _png_pixels(data: NDArray[np.uint8]) -> int:
+    """The number of pixels that a PNG file claims in its IHDR chunk; 0 of other files."""
+    head = data[:24].tobytes()
+    if not head.startswith(b"\x89PNG"):
+        return 0
+    return int.from_bytes(head[16:20], "big") * int.from_bytes(head[20:24], "big")

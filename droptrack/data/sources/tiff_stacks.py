@@ -4,39 +4,32 @@ A frame is a time; where there are several planes (Z) as well, they follow one a
 Pages are read when their frame is due.
 """
 
+import logging
 import math
-import struct
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 import cv2
 import numpy as np
 import tifffile
 
-from droptrack.data.sources.image_files import decode_image
+from droptrack.data.files import reading
+from droptrack.data.sources.image_files import MAX_PIXELS, decode_image
 from droptrack.data.sources.source import Image, ReadOptions, Source, spread
 from droptrack.errors import DroptrackError
 
 MICROMETRES = {"um": 1.0, "µm": 1.0, "μm": 1.0, "micron": 1.0, "microns": 1.0, "\\u00B5m": 1.0}
 MICROMETRES |= {"nm": 1e-3, "mm": 1e3, "cm": 1e4, "m": 1e6}
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "min": 60.0}
-# what tifffile and its decoders raise for damaged files
-DAMAGED = (tifffile.TiffFileError, ValueError, IndexError, KeyError, TypeError, OSError, EOFError)
-DAMAGED_TOO = (
-    struct.error,
-    RuntimeError,
-    OverflowError,
-    MemoryError,
-    AttributeError,
-    AssertionError,
-)
 SPACE = "YXS"  # axes of one image
-MAX_PIXELS = 2**30  # of one image, as OpenCV has it
+MAX_TAGS = 500  # of a page
+
+logging.getLogger("tifffile").disabled = True  # what is wrong with a file is said by an error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +50,7 @@ class TiffStack:
     def __init__(self, path: Path, channel: int | None) -> None:
         self.path = path
         self.notes: list[str] = []
+        check_pages(path)
         try:
             self._file = tifffile.TiffFile(path)
             weakref.finalize(self, self._file.close)
@@ -64,7 +58,9 @@ class TiffStack:
             self._axes, self._shape = self._series.axes, self._series.shape
             self.calibration = _calibration(self._file)
             self._pages = self._all_pages()
-        except (*DAMAGED, *DAMAGED_TOO) as error:
+        except DroptrackError:
+            raise
+        except Exception as error:  # noqa: BLE001  tifffile raises all kinds for damaged files
             raise DroptrackError(f"{path}: cannot be read as TIFF: {_line(error)}") from None
         counts = [
             (axis, n) for axis, n in zip(self._axes, self._shape, strict=True) if axis not in SPACE
@@ -72,9 +68,9 @@ class TiffStack:
         self._outer = [n for _, n in counts]
         if len(self._pages) > math.prod(self._outer):  # one series after the other
             counts = [("T", len(self._pages))]
-        self._order = _frame_order(dict_of(counts), self._channel(dict_of(counts), channel), counts)
+        self._order = _frame_order(counts, self._channel(dict(counts), channel))
         self._map = self._mapped()
-        planes = dict_of(counts).get("Z", 1)
+        planes = dict(counts).get("Z", 1)
         if planes > 1 and len(self._order) > planes:
             self.notes.append(
                 f"{path}: has {planes} planes (Z) at each time, which follow one another"
@@ -96,9 +92,10 @@ class TiffStack:
             else:
                 page = self._pages[index]
                 image = self._page(page, index)
-            return None if image is None else _as_bgr(image, page, self._axes)
-        except (*DAMAGED, *DAMAGED_TOO):
+            image = None if image is None else _as_bgr(image, page, self._axes)
+        except Exception:  # noqa: BLE001  its decoders do, too
             return None
+        return image if image is not None and image.ndim in (2, 3) else None
 
     def close(self) -> None:
         """Close the file."""
@@ -168,16 +165,10 @@ class TiffStack:
         return image[..., ::-1] if image is not None and image.ndim == 3 else image
 
 
-def dict_of(counts: Sequence[tuple[str, int]]) -> dict[str, int]:
-    """Images along each axis, by its letter."""
-    return dict(counts)
-
-
-def _frame_order(
-    counts: dict[str, int], channel: int, axes: Sequence[tuple[str, int]]
-) -> list[int]:
+def _frame_order(axes: Sequence[tuple[str, int]], channel: int) -> list[int]:
     """Which image of the file each frame is: all axes but C, times before planes."""
-    numbers = np.arange(math.prod(counts.values())).reshape([n for _, n in axes])
+    shape = [n for _, n in axes]
+    numbers = np.arange(math.prod(shape)).reshape(shape)
     names = [axis for axis, _ in axes]
     if "C" in names:
         numbers = np.take(numbers, channel, axis=names.index("C"))
@@ -245,12 +236,36 @@ def _read(place: tuple[TiffStack, int]) -> Image | None:
     return place[0].read(place[1])
 
 
+def check_pages(path: Path) -> None:
+    """Raise DroptrackError where the chain of a file's pages leads back, or to what is none.
+
+    tifffile goes through all that a damaged chain leads to, which may take for ever. TIFF 6.0, page
+    13, and "The BigTIFF File Format": the number of tags, the tags, and where the next page is.
+    """
+    with reading(path, "TIFF"), path.open("rb") as file:
+        head = file.read(16)
+        order: Literal["little", "big"] = "little" if head[:2] == b"II" else "big"
+        big = int.from_bytes(head[2:4], order) == 43
+        count_bytes, tag_bytes, place_bytes = (8, 20, 8) if big else (2, 12, 4)
+        place = int.from_bytes(head[8:16] if big else head[4:8], order)
+        seen: set[int] = set()
+        while place:
+            file.seek(place)
+            n_tags = int.from_bytes(file.read(count_bytes), order)
+            if place in seen or n_tags > MAX_TAGS:
+                raise DroptrackError(f"{path}: page {len(seen) + 1} is damaged")
+            seen.add(place)
+            file.seek(place + count_bytes + n_tags * tag_bytes)
+            place = int.from_bytes(file.read(place_bytes), order)
+
+
 def is_first_of_set(path: Path) -> bool:
     """Whether a file says which other files go on with its images, as OME's do."""
     try:
+        check_pages(path)
         with tifffile.TiffFile(path) as file:
             return bool(file.is_ome and file.series[0].is_multifile)
-    except (*DAMAGED, *DAMAGED_TOO):
+    except Exception:  # noqa: BLE001  as above
         return False
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.frames import Frame, as_frame, grey_frame, grey_plane
+from droptrack.data.sources.avi_index import avi_frames, read_frames
 from droptrack.data.sources.opencv_names import opencv_name
 from droptrack.data.sources.source import Image, ReadOptions, Source, refuse_channel
 from droptrack.errors import DroptrackError
@@ -27,17 +28,19 @@ def open_video(path: Path, options: ReadOptions) -> Source:
     refuse_channel(str(path), options)
     with opencv_name(path) as name:
         capture = open_capture(name, str(path))
-        images = _read_jpegs(name, capture)
+        images = _read_jpegs(path, name, capture)
         if images is None and int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == GREY_16:
             capture.release()
             capture = open_capture(name, str(path), [cv2.CAP_PROP_CONVERT_RGB, 0])
-    counted = _counts_frames(path)
     n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+    fps = float(capture.get(cv2.CAP_PROP_FPS))
+    if images is not None:
+        capture.release()
     return Source(
-        images=images or read_capture(capture, n_frames if counted else 0),
+        images=images or read_capture(capture, n_frames),
         n_frames=n_frames,
-        counted=counted,
-        fps=float(capture.get(cv2.CAP_PROP_FPS)),
+        counted=_counts_frames(path),
+        fps=fps,
     )
 
 
@@ -94,7 +97,9 @@ def _counts_frames(path: Path) -> bool:
     return any(head[place:].startswith(mark) for place, mark in COUNTING)
 
 
-def _read_jpegs(name: str, capture: cv2.VideoCapture) -> Iterator[tuple[int, Image]] | None:
+def _read_jpegs(
+    path: Path, name: str, capture: cv2.VideoCapture
+) -> Iterator[tuple[int, Image]] | None:
     """Frames of a Motion JPEG file; None for other files, and for other forms of it.
 
     OpenCV decodes a JPEG image in less time than FFmpeg, a grey one in half of it, and tells when
@@ -110,7 +115,8 @@ def _read_jpegs(name: str, capture: cv2.VideoCapture) -> Iterator[tuple[int, Ima
     size = [capture.get(side) for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)]
     if first is None or image is None or list(image.shape[:2]) != size:  # half a frame, maybe
         return None
-    return _decoded(chain([first], packets))
+    frames = avi_frames(path, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+    return _decoded(chain([first], packets) if frames is None else read_frames(path, frames))
 
 
 def _packets(name: str) -> Iterator[NDArray[np.uint8]]:
@@ -135,10 +141,11 @@ def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]
     maybe_grey = True
     for index, packet in enumerate(packets):
         if maybe_grey and index % LOOK_FOR_COLOUR == 0:
-            small = cv2.imdecode(packet, cv2.IMREAD_REDUCED_COLOR_8 | as_it_is)
+            reduced = cv2.IMREAD_REDUCED_COLOR_8 | as_it_is
+            small = cv2.imdecode(packet, reduced) if len(packet) else None
             maybe_grey = small is None or without_colour(as_frame(small)) is not None
         colours = cv2.IMREAD_GRAYSCALE if maybe_grey else cv2.IMREAD_COLOR
-        image = cv2.imdecode(packet, colours | as_it_is)
+        image = cv2.imdecode(packet, colours | as_it_is) if len(packet) else None
         if image is not None:
             yield index, as_frame(image)
 

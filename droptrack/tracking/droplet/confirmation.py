@@ -5,12 +5,12 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats
 from droptrack.tracking.droplet.duplicates import MAX_DUPLICATE_FRAMES
 from droptrack.tracking.droplet.flow import Flow
+from droptrack.tracking.droplet.matching import MIN_EVIDENCE
 from droptrack.tracking.droplet.noise import FalseBoxes, Noise, median
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.tracks import Tracks
 
-MIN_EVIDENCE = 25.0  # 2 log likelihood ratio of a droplet
 MIN_DETECTION_RATE = 0.6  # detections a frame of a new track
 MAX_MISSES_OF_NEW = 1  # in a row
 MAX_FRAMES_OF_NEW = MAX_DUPLICATE_FRAMES + 1

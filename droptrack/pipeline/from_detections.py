@@ -9,14 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.arrays import Floats
-from droptrack.data.detections import Detections
+from droptrack.data.detections import Detections, labels
 from droptrack.data.files import reading
-from droptrack.data.mot_files import BLOCK, open_detections
+from droptrack.data.mot_files import (
+    BLOCK,
+    DetectionFile,
+    FrameList,
+    open_detections,
+    read_frame_list,
+)
 from droptrack.data.report import Value
 from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
-from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.notes import Say, say_what_is_unsure, to_stderr
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
 from droptrack.pipeline.run import TrackingRun
 from droptrack.tracking.appearance import describe_sizes
@@ -56,25 +62,37 @@ def track_detections(
     descriptors_of: DescriptorsOf | None,
     tracker: Tracker,
     results: Results,
+    frames_that_exist: FrameList | None = None,
 ) -> Iterator[int]:
     """Track frame by frame into `results`; yields the number of frames done.
 
     `frames`: detections and their rows, as `mot_files.DetectionFile` gives them. `descriptors_of`
-    gives the unit descriptors of rows; without, they are the detections' sizes.
+    gives the unit descriptors of rows; without, they are the detections' sizes. In frames that do
+    not exist, no droplet is missed.
     """
     session = TrackingSession(tracker)
     try:
         for index, (found, rows) in enumerate(frames):
+            exists = None if frames_that_exist is None else index + 1 in frames_that_exist
             if descriptors_of is None:
                 descriptors = describe_sizes(found.boxes)
             else:
                 descriptors = descriptors_of(rows)
-            results.write(session.add_boxes(index, found, descriptors))
+            results.write(session.add_boxes(index, found, descriptors, image=exists))
             results.n_frames += 1
             results.n_detections += len(found)
             yield results.n_frames
     finally:
-        results.finish(session.finish())
+        results.finish(session)
+
+
+def _all_frames(
+    frames: DetectionFile, there: FrameList | None
+) -> Iterator[tuple[Detections, NDArray[np.int64]]]:
+    """The frames of a file, and after them those that exist besides."""
+    yield from frames
+    for _ in range(0 if there is None else there.last - frames.n_frames):
+        yield labels(np.zeros((0, 4))), np.zeros(0, np.int64)
 
 
 def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRun:
@@ -85,7 +103,8 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
     tracker, tracker_settings = make_tracker(
         config.tracker, by_descriptors=config.descriptors is not None
     )
-    frames = open_detections(config.detections)
+    there = None if config.frames is None else read_frame_list(config.frames)
+    frames = open_detections(config.detections, there)
     descriptors_of = None
     if config.descriptors is not None:
         descriptors_of = open_descriptors(config.descriptors, frames.n_rows)
@@ -104,10 +123,14 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
     began = time.perf_counter()
     with TrajectoryWriter(folder / "trajectories.csv", about, FURTHER_COLUMNS) as rows:
         results = Results(rows)
-        for _ in track_detections(frames, descriptors_of, tracker, results):
+        for _ in track_detections(
+            _all_frames(frames, there), descriptors_of, tracker, results, there
+        ):
             pass
+    n_missing = 0 if there is None else int((~there.exists[1:]).sum())
     seconds = time.perf_counter() - began
-    report = summarise(results, {**about, **tracker_settings}, 0, seconds)
     size = (max(1, ceil(frames.right)), max(1, ceil(frames.bottom)))
+    report = summarise(results, {**about, **tracker_settings}, size, n_missing, seconds)
     write_report(folder, report, results.paths, size)
+    say_what_is_unsure(str(config.detections), results, say)
     return TrackingRun(folder, report)

@@ -15,7 +15,7 @@ from droptrack.errors import DroptrackError
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.loop import track_frames
-from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.notes import Say, say_what_is_unsure, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.results import FURTHER_COLUMNS, Results, summarise, write_report
 from droptrack.pipeline.threads import AnnotatedVideo
@@ -79,8 +79,9 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     total = opened.n_frames(config.max_frames)
     n_missing = 0 if opened.live or problem else max(0, total - results.n_frames)
     settings = {**about, **_settings(config, opened)}
-    report = summarise(results, settings, n_missing, time.perf_counter() - began)
-    write_report(folder, report, results.paths, (info.width, info.height))
+    size = (info.width, info.height)
+    report = summarise(results, settings, size, n_missing, time.perf_counter() - began)
+    write_report(folder, report, results.paths, size)
     if problem is not None:
         problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
     else:
@@ -201,6 +202,7 @@ def _say_what_is_odd(
             f"{config.video}: {n_missing} of the {total} frames it claims could not be decoded: it "
             "is damaged, or ends early"
         )
+    say_what_is_unsure(config.video, results, say)
     if results.n_frames and not results.n_detections:
         shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")
         say(

@@ -18,6 +18,7 @@ from droptrack.tracking.association import assign_greedy, assign_sparse
 from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 from droptrack.tracking.droplet.noise import median
 from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracker import DropletTracker
 from droptrack.tracking.recorder import concatenated
 from droptrack.tracking.session import TrackingSession
@@ -71,6 +72,20 @@ def test_a_droplet_missed_for_some_frames_is_the_same_afterwards(gap: int) -> No
     frames = [[disc(x, y)] for x, y in path]
     frames[20 : 20 + gap] = [[] for _ in range(gap)]
     assert ids(frames) == [[] if 20 <= t < 20 + gap else [1] for t in range(50)]
+
+
+@pytest.mark.parametrize(("ahead", "against"), [(20.0, False), (-20.0, True)])
+def test_a_gap_against_the_flow_is_known_as_such(ahead: float, against: bool) -> None:
+    """Ten droplets go right by 2 px a frame; the first is seen again 20 px ahead, or behind."""
+    places = [(50.0 + 40 * i, 50.0 + i % 2 * 30) for i in range(10)]
+    tracker = DropletTracker(DropletParameters())
+    run([[disc(x + 2 * t, y) for x, y in places] for t in range(10)], tracker)
+    run([[disc(x + 2 * t, y) for x, y in places[1:]] for t in range(10, 15)], tracker)
+    lost = np.flatnonzero(tracker.tracks.missed > 0)
+    ends = tracker.tracks.last_position[lost] + np.array([ahead, 0.0])
+    five, even = np.array([5]), np.zeros(1)
+    (found,) = resumptions(tracker.tracks, lost, ends, five, even, tracker.flow)
+    assert found == (int(tracker.tracks.ids[lost[0]]), 0.5, against)
 
 
 def test_a_droplet_missed_for_longer_than_max_age_is_a_new_one() -> None:

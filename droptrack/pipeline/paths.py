@@ -138,7 +138,7 @@ def side_of(
     is at it if there is no room for another droplet between them, or for a `step` that it goes in a
     frame.
 
-    >>> side_of((30, 50, 20, 20), 640, 480, (-1, 0), 12)
+    >>> side_of((25, 50, 20, 20), 640, 480, (-1, 0), 12)
     'left'
     >>> side_of((300, 200, 20, 20), 640, 480, (-1, 0), 12)
     'inside'

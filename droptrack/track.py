@@ -72,6 +72,13 @@ def main(
     detections: Annotated[
         Path | None, typer.Option(help="Instead of a video: boxes in MOT Challenge's format.")
     ] = None,
+    frames: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --detections: a file with the numbers of the frames that exist, from 1, or "
+            "ranges such as 12-80; in others no droplet is missed. Default: those with a box."
+        ),
+    ] = None,
     descriptors: Annotated[
         Path | None,
         typer.Option(help="With --detections: appearance descriptors, .npy, a row for each box."),
@@ -172,6 +179,7 @@ def main(
         done = run_detections(
             DetectionsConfig(
                 detections=detections,
+                frames=frames,
                 descriptors=descriptors,
                 score=score if was_given(context, "score") else None,
                 max_frames=max_frames,
@@ -182,8 +190,10 @@ def main(
             ),
             say,
         )
-    elif video is None or descriptors is not None:
-        raise DroptrackError("name a video, or a file with --detections (and --descriptors)")
+    elif video is None or descriptors is not None or frames is not None:
+        raise DroptrackError(
+            "name a video, or a file with --detections (and --descriptors, --frames)"
+        )
     else:
         config = TrackingConfig(
             video=video,

@@ -64,6 +64,15 @@ class Kind(StrEnum):
     merging = "merging"  # pairs that coalesce, and bystanders
     splitting = "splitting"  # droplets that break up, and bystanders
     train = "train"  # equal plugs one after the other in a channel, through the whole image
+    pulsing = "pulsing"  # a train that nearly rests and goes on, again and again
+    reversing = "reversing"  # a train that goes to and fro
+    joining = "joining"  # trains of two channels that become one, twice as fast
+    stopping = "stopping"  # a uniform flow in which some droplets stop at the wall below
+
+
+def with_faults(motion: Motion) -> Motion:
+    """With a detector's usual faults."""
+    return replace(motion, missing=0.05, false=0.02, jitter=0.01)
 
 
 PAIRS = {Kind.merging: merging_pairs, Kind.splitting: splitting_pairs}
@@ -88,6 +97,12 @@ def train(*, spacing: float, step: float, images_missing: float = 0.0) -> Motion
         images_missing=images_missing,
     )
 
+
+IN_CHANNELS = (Kind.train, Kind.pulsing, Kind.reversing, Kind.joining)
+PULSE = 16  # frames from one pulse, or turn, to the next
+JUNCTION = (450.0, 600.0)  # where channels begin to bend towards each other, and are one
+N_STOPPING, STOPPING_ROOM = 4, 4.0  # droplets that stop, and their distance, in diameters
+BRAKING = 6  # frames
 
 PLUG_ASPECT, PLUG_DIAMETER = 2.0, 85.0
 TRAIN_PLUGS = 18
@@ -127,6 +142,10 @@ MOTIONS = {
     **TRAINS,
     "short views": SHORT_VIEW,
     "short views holes": replace(SHORT_VIEW, images_missing=1 / 3),
+    "pulsing": with_faults(Motion(Kind.pulsing, speed=0.6, spacing=(2, 2), diameter=60)),
+    "reversing": with_faults(Motion(Kind.reversing, speed=0.6, spacing=(2, 2), diameter=60)),
+    "joining": with_faults(Motion(Kind.joining, speed=0.3, spacing=(2, 2), diameter=60)),
+    "stopping": with_faults(Motion(Kind.stopping, speed=0.5, droplets=60, diameter=40, frames=60)),
     "short views faults": replace(SHORT_VIEW, missing=0.05, false=0.02),
 }
 
@@ -195,8 +214,10 @@ def move(rng: np.random.Generator, motion: Motion) -> tuple[Floats, Floats]:
     if motion.kind in PAIRS:
         paths, diameters, _ = pairs_of(rng, motion)
         return paths, diameters
-    if motion.kind == Kind.train:
-        paths = train_paths(rng, motion)
+    if motion.kind in IN_CHANNELS:
+        paths = joining_paths(motion) if motion.kind == Kind.joining else train_paths(rng, motion)
+    elif motion.kind == Kind.stopping:
+        paths = stopping_paths(rng, motion)
     elif motion.kind in (Kind.packing, Kind.filled):
         paths = packing_paths(rng, motion)
     elif motion.kind == Kind.crossing:
@@ -235,7 +256,7 @@ def packing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
 def train_paths(rng: np.random.Generator, motion: Motion) -> Floats:
     """Plugs one after the other, in lanes one below the other; those in the image come first."""
     length = motion.diameter * np.sqrt(motion.aspect)
-    t = np.arange(motion.frames)
+    t = np.arange(float(motion.frames))
     paths = []
     for lane in range(motion.lanes):
         slower = LANE_SPEEDS * lane / max(motion.lanes - 1, 1)
@@ -243,10 +264,56 @@ def train_paths(rng: np.random.Generator, motion: Motion) -> Floats:
         n = int((WIDTH + speed * motion.frames) / (motion.spacing[0] * length)) + 1
         apart = rng.uniform(*motion.spacing, n) * length
         x = WIDTH - rng.uniform(0, apart[0]) - np.append(0, np.cumsum(apart[1:]))
-        x = x[:, None] + speed * t
+        x = x[:, None] + speed * gone(motion.kind, t)
         y = np.full_like(x, (lane + 0.5) * HEIGHT / motion.lanes)
         paths.append(np.stack([x, y], axis=2))
     return np.concatenate(paths)
+
+
+def gone(kind: str, t: Floats) -> Floats:
+    """How far a train has come by frames t (T,), in its greatest steps."""
+    phase = 2 * np.pi * t / PULSE
+    if kind == Kind.pulsing:  # the step is 0.55 - 0.45 cos
+        return np.asarray(0.55 * t - 0.45 * np.sin(phase) * PULSE / (2 * np.pi))
+    if kind == Kind.reversing:  # it is cos, and goes as far back as on
+        return np.asarray(np.sin(phase) * PULSE / (2 * np.pi))
+    return t
+
+
+def joining_paths(motion: Motion) -> Floats:
+    """Trains of two channels, out of step, that become one: there the flow is twice as fast."""
+    speed = motion.speed * motion.diameter
+    apart = motion.spacing[0] * motion.diameter * np.sqrt(motion.aspect)
+    bend, end = JUNCTION
+    slope = float(np.hypot(end - bend, HEIGHT / 4))  # as long as a channel is between the two
+    t = np.arange(motion.frames)
+    paths = []
+    for channel in range(2):
+        n = int((bend + slope + speed * motion.frames) / apart) + 1
+        s = (
+            apart * (channel / 2 - np.arange(-3, n))[:, None] + bend + speed * t
+        )  # along the channel
+        share = np.clip((s - bend) / slope, 0, 1)
+        beyond = 2 * np.maximum(s - bend - slope, 0)
+        x = np.minimum(s, bend) + share * (end - bend) + beyond
+        wall = HEIGHT / 4 if channel == 0 else 3 * HEIGHT / 4
+        y = wall + share * (HEIGHT / 2 - wall)
+        paths.append(np.stack([x, y], axis=2))
+    return np.concatenate(paths)
+
+
+def stopping_paths(rng: np.random.Generator, motion: Motion) -> Floats:
+    """A uniform flow, and below it droplets that stop one behind the other."""
+    speed, room = motion.speed * motion.diameter, STOPPING_ROOM * motion.diameter
+    places = scattered(rng, motion, speed * motion.frames)
+    free = places[places[:, 1] < HEIGHT - 2.5 * motion.diameter]
+    t = np.arange(motion.frames)
+    flowing = free[:, None] + t[:, None] * [speed, 0.0]
+    stops = WIDTH - room * (1 + np.arange(N_STOPPING))[:, None]
+    left = np.maximum(1 - np.maximum(t - motion.frames / 3, 0) / BRAKING, 0)  # of the speed
+    x = stops + np.cumsum(left) * speed - left.sum() * speed
+    wall = np.full_like(x, HEIGHT - motion.diameter)
+    return np.concatenate([flowing, np.stack([x, wall], axis=2)])
 
 
 def crossing_paths(rng: np.random.Generator, motion: Motion) -> Floats:
@@ -274,7 +341,7 @@ def carried_paths(rng: np.random.Generator, motion: Motion) -> Floats:
 
 def sizes(rng: np.random.Generator, motion: Motion, n: int) -> Floats:
     """Diameters (n, T): all a little different; `growing` ones double or halve; a train's equal."""
-    if motion.kind == Kind.train:
+    if motion.kind in IN_CHANNELS:
         return np.full((n, motion.frames), motion.diameter)
     diameters = motion.diameter * rng.uniform(0.9, 1.1, n)[:, None]
     if motion.kind != Kind.growing:

@@ -16,7 +16,7 @@ from typing import IO
 
 import numpy as np
 
-from droptrack.data.arrays import Floats, Rows
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections, labels
 from droptrack.data.files import reading
 from droptrack.errors import DroptrackError
@@ -36,6 +36,48 @@ def write_detections(path: Path, frames: Sequence[Detections]) -> None:
         for box, score in zip(frame.boxes, frame.scores, strict=True)
     ]
     path.write_text("".join(row + "\n" for row in rows), encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class FrameList:
+    """Which frames exist, as a file says: `exists[number]`, numbers from 1, for F - 1 of them."""
+
+    path: Path
+    exists: Bools  # (F,)
+
+    def __contains__(self, number: int) -> bool:
+        return number < len(self.exists) and bool(self.exists[number])
+
+    @property
+    def last(self) -> int:
+        """The last frame that exists."""
+        return len(self.exists) - 1
+
+
+def read_frame_list(path: Path) -> FrameList:
+    """Read the numbers of frames that exist, from 1, with blanks or lines between.
+
+    A range is written ``12-80``. Raises DroptrackError naming what is neither.
+    """
+    with reading(path):
+        words = path.read_text(encoding="utf-8").split()
+    ranges = []
+    for word in words:
+        ends = word.split("-")
+        whole = len(ends) <= 2 and all(end.isdecimal() and end.isascii() for end in ends)
+        first, last = (int(ends[0]), int(ends[-1])) if whole else (0, 0)
+        if not 1 <= first <= last <= MAX_FRAMES:
+            raise DroptrackError(
+                f"{path}: should be numbers of frames from 1 to {MAX_FRAMES}, or ranges such as "
+                f"12-80, not {word[:40]}"
+            )
+        ranges.append((first, last))
+    if not ranges:
+        raise DroptrackError(f"{path}: lists no frame")
+    exists = np.zeros(max(last for _, last in ranges) + 1, bool)
+    for first, last in ranges:
+        exists[first : last + 1] = True
+    return FrameList(path, exists)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +114,11 @@ class DetectionFile:
             ) from None
 
 
-def open_detections(path: Path) -> DetectionFile:
+def open_detections(path: Path, frames_that_exist: FrameList | None = None) -> DetectionFile:
     """Check all rows of a file, which takes no memory.
 
-    Raises DroptrackError naming the frame and the row, from 1, of what cannot be a box.
+    Raises DroptrackError naming the frame and the row, from 1, of what cannot be a box, or is in a
+    frame that does not exist.
     """
     if path.exists() and not path.is_file():
         raise DroptrackError(f"{path}: should be a file, which can be read twice")
@@ -87,6 +130,8 @@ def open_detections(path: Path) -> DetectionFile:
         back = np.flatnonzero(np.diff(frames) < 0)
         if len(back) and not out_of_order:
             out_of_order = n_rows + int(back[0]) + 1
+        if frames_that_exist is not None:
+            _check_frames(path, table, n_rows, frames_that_exist)
         n_rows, last = n_rows + len(table), int(frames[-1])
         n_frames = max(n_frames, int(frames.max()))
         first_frame = min(first_frame, int(table[:, 0].min()))
@@ -152,6 +197,18 @@ def _check(path: Path, table: Floats, n_before: int) -> None:
                 f"{path}: frame {number[row]:g}, row {n_before + row + 1}: {problem}: "
                 f"{table[row, 2:]}"
             )
+
+
+def _check_frames(path: Path, table: Floats, n_before: int, frames: FrameList) -> None:
+    """Refuse rows (B, 7) in frames that do not exist; `n_before` rows come before them."""
+    numbers = table[:, 0].astype(np.int64)
+    there = frames.exists[np.minimum(numbers, frames.last)] & (numbers <= frames.last)
+    if not there.all():
+        row = int(np.flatnonzero(~there)[0])
+        raise DroptrackError(
+            f"{path}: frame {numbers[row]}, row {n_before + row + 1}: has a box, but {frames.path} "
+            "does not list the frame"
+        )
 
 
 def _sorted_blocks(path: Path, file: IO[bytes]) -> list[Iterator[Floats]]:

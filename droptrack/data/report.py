@@ -23,6 +23,7 @@ class Report:
     settings: Mapping[str, Value]
     summary: Mapping[str, Value]
     droplets: Sequence[Mapping[str, Value]]
+    gaps: Sequence[Mapping[str, Value]] | None = None  # of tracks, where there may be any
 
     def print(self, without: Sequence[str] = ()) -> None:
         """Print the droplets as a table, `without` some columns, and the summary, on stdout."""
@@ -30,13 +31,9 @@ class Report:
         if not console.is_terminal:
             console.width = 120  # a file or a pipe has no width of its own
         if self.droplets:
-            table = Table(title=self.title, title_justify="left")
-            keys = [key for key in self.droplets[0] if key not in without]
-            for key in keys:
-                table.add_column(key.replace("_", " "), justify="right")
-            for droplet in self.droplets:
-                table.add_row(*(_text(droplet[key]) for key in keys))
-            console.print(table)
+            console.print(_table(self.title, self.droplets, without))
+        if self.gaps:
+            console.print(_table("Bridged gaps of more than 3 frames", self.gaps))
         width = max((len(key) for key in self.summary), default=0)
         for key, value in self.summary.items():
             console.print(f"{key.replace('_', ' '):{width}}  {_text(value)}", highlight=False)
@@ -49,7 +46,20 @@ class Report:
             "summary": dict(self.summary),
             "droplets": [dict(droplet) for droplet in self.droplets],
         }
+        if self.gaps is not None:
+            content["gaps"] = [dict(gap) for gap in self.gaps]
         write_text(path, json.dumps(_without_nan(content), indent=1) + "\n")
+
+
+def _table(title: str, rows: Sequence[Mapping[str, Value]], without: Sequence[str] = ()) -> Table:
+    """Rows with the same keys, `without` some."""
+    table = Table(title=title, title_justify="left")
+    keys = [key for key in rows[0] if key not in without]
+    for key in keys:
+        table.add_column(key.replace("_", " "), justify="right")
+    for row in rows:
+        table.add_row(*(_text(row[key]) for key in keys))
+    return table
 
 
 def _text(value: Value) -> str:

@@ -92,13 +92,15 @@ class ImagesConfig(DetectorConfig):
 class DetectionsConfig:
     """How to track detections that some other program found.
 
-    `detections`: a file in the format of the MOT Challenge. `descriptors`: an .npy file with the
-    appearance descriptor (D,) of each of its rows. `score`: of rows that are used. `out`,
-    `max_frames`, `overwrite` and
+    `detections`: a file in the format of the MOT Challenge. `frames`: a file with the frames that
+    exist, see `mot_files.read_frame_list`; without, a frame without a detection does not exist,
+    and no droplet is missed in it. `descriptors`: an .npy file with the appearance descriptor (D,)
+    of each of its rows. `score`: of rows that are used. `out`, `max_frames`, `overwrite` and
     `units`: as `TrackingConfig` has them.
     """
 
     detections: Path
+    frames: Path | None = None
     descriptors: Path | None = None
     score: float | None = None
     max_frames: int = 0

@@ -10,14 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.arrays import Floats
-from droptrack.data.detections import Detections
+from droptrack.data.detections import Detections, labels
 from droptrack.data.files import reading
-from droptrack.data.mot_files import BLOCK, open_detections
+from droptrack.data.mot_files import (
+    BLOCK,
+    DetectionFile,
+    FrameList,
+    open_detections,
+    read_frame_list,
+)
 from droptrack.data.report import Value
 from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
-from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.notes import Say, say_what_is_unsure, to_stderr
 from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.run import TrackingRun
@@ -58,6 +64,7 @@ def track_detections(
     descriptors_of: DescriptorsOf | None,
     tracker: Tracker,
     results: Results,
+    frames_that_exist: FrameList | None = None,
     *,
     first: int = 0,
 ) -> Iterator[int]:
@@ -65,22 +72,32 @@ def track_detections(
 
     `frames`: detections and their rows, as `mot_files.DetectionFile` gives them, from the frame
     `first` on, which counts from 0. `descriptors_of` gives the unit descriptors of rows; without,
-    they are the detections' sizes.
+    they are the detections' sizes. In frames that do not exist, no droplet is missed.
     """
     session = TrackingSession(tracker)
     try:
         for index, (found, rows) in enumerate(frames, first):
+            exists = None if frames_that_exist is None else index + 1 in frames_that_exist
             if descriptors_of is None:
                 descriptors = describe_sizes(found.boxes)
             else:
                 descriptors = descriptors_of(rows)
-            results.write(session.add_boxes(index, found, descriptors))
+            results.write(session.add_boxes(index, found, descriptors, image=exists))
             results.n_frames += 1
             results.last_frame = index
             results.n_detections += len(found)
             yield results.n_frames
     finally:
-        results.finish(session.finish())
+        results.finish(session)
+
+
+def _all_frames(
+    frames: DetectionFile, there: FrameList | None
+) -> Iterator[tuple[Detections, NDArray[np.int64]]]:
+    """The frames of a file, and after them those that exist besides."""
+    yield from frames
+    for _ in range(0 if there is None else there.last - frames.n_frames):
+        yield labels(np.zeros((0, 4))), np.zeros(0, np.int64)
 
 
 def _above(
@@ -100,7 +117,8 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
     tracker, tracker_settings = make_tracker(
         config.tracker, by_descriptors=config.descriptors is not None
     )
-    frames = open_detections(config.detections)
+    there = None if config.frames is None else read_frame_list(config.frames)
+    frames = open_detections(config.detections, there)
     descriptors_of = None
     if config.descriptors is not None:
         descriptors_of = open_descriptors(config.descriptors, frames.n_rows)
@@ -120,13 +138,15 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
     began = time.perf_counter()
     with TrajectoryWriter(folder / "trajectories.csv", about, columns_with(config.units)) as rows:
         results = Results(rows, units=config.units)
-        wanted = islice(_above(frames, config.score), config.max_frames or None)
+        wanted = islice(_above(_all_frames(frames, there), config.score), config.max_frames or None)
         first = frames.first_frame - 1
-        for _ in track_detections(wanted, descriptors_of, tracker, results, first=first):
+        for _ in track_detections(wanted, descriptors_of, tracker, results, there, first=first):
             pass
+    n_missing = 0 if there is None else int((~there.exists[1:]).sum())
     seconds = time.perf_counter() - began
     settings = {**about, "score": config.score, **tracker_settings}
-    report = summarise(results, settings, 0, seconds)
     size = (max(1, ceil(frames.right)), max(1, ceil(frames.bottom)))
+    report = summarise(results, settings, size, n_missing, seconds)
     write_report(folder, report, results.paths, size)
+    say_what_is_unsure(str(config.detections), results, say)
     return TrackingRun(folder, report)

@@ -71,7 +71,7 @@ class FrameTracker:
     def finish(self) -> None:
         """Write what was held back."""
         self._results.show_rest(self._session)
-        self._results.finish(self._session.finish())
+        self._results.finish(self._session)
 
 
 def track_frames(

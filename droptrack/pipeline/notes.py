@@ -3,9 +3,32 @@
 import sys
 from collections.abc import Callable
 
+from droptrack.pipeline.results import Results
+
+MAX_NAMED = 5  # gaps in one line
 Say = Callable[[str], object]
 
 
 def to_stderr(text: str) -> None:
     """Tell it on stderr."""
     print(text, file=sys.stderr)
+
+
+def say_what_is_unsure(source: str, results: Results, say: Say) -> None:
+    """Tell which tracks of a source are to be doubted."""
+    if results.velocities:
+        believed, other = ("{:.3g},{:.3g}".format(*one) for one in results.velocities)
+        say(
+            f"{source}: velocity_is_ambiguous: droplets may go {believed} or {other} px a frame; "
+            f"the first was believed; if it is wrong, give --expect-velocity={other}"
+        )
+    backwards = [gap for gap in results.gaps if gap.against_flow]
+    if backwards:
+        where = ", ".join(
+            f"{gap.track_id} (frames {gap.first_frame} to {gap.first_frame + gap.n_frames - 1})"
+            for gap in backwards[:MAX_NAMED]
+        )
+        more = f" and {len(backwards) - MAX_NAMED} more" if len(backwards) > MAX_NAMED else ""
+        say(
+            f"{source}: gaps were bridged against the flow, of droplets {where}{more}: look at them"
+        )

@@ -1,7 +1,7 @@
 """What is said of each droplet's path at the end, gathered without keeping every row."""
 
 from array import array
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from math import hypot, nan
 
@@ -13,6 +13,8 @@ from droptrack.data.trajectories import Trajectories
 from droptrack.data.units import Units
 
 DRAWN_STEP_PX = 2.0  # minimum distance between points of a drawn line
+MAX_FRAMES = 2**62
+SIDES = ("left", "right", "top", "bottom", "inside")
 MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
 
 
@@ -25,6 +27,8 @@ class DropletPath:
 
     first_frame: int
     last_frame: int
+    first_box: list[float]  # cx, cy, w, h
+    last_box: list[float]
     first_whole: int | None = None
     last_whole: int = 0
     x: float = nan  # in the last frame in which it was whole
@@ -70,10 +74,14 @@ class Paths:
 
     def __init__(self) -> None:
         self._paths: dict[int, DropletPath] = {}
+        self._first_frame, self._last_frame = MAX_FRAMES, 0
 
     def add(self, rows: Trajectories) -> None:
         """Take rows that follow on those before."""
         order = np.argsort(rows.track_id, kind="stable")
+        boxes = rows.boxes[order]
+        self._first_frame = min(self._first_frame, int(rows.frame.min(initial=MAX_FRAMES)))
+        self._last_frame = max(self._last_frame, int(rows.frame.max(initial=0)))
         ids, starts = np.unique(rows.track_id[order], return_index=True)
         frames = rows.frame[order].tolist()
         whole = rows.columns.get("at_edge", np.zeros(len(rows)))[order] != 1
@@ -86,9 +94,16 @@ class Paths:
         for k, (track_id, start, end) in enumerate(
             zip(ids.tolist(), starts.tolist(), ends, strict=True)
         ):
-            born = DropletPath(first_frame=frames[start], last_frame=frames[start])
-            path = self._paths.setdefault(track_id, born)
+            if track_id not in self._paths:
+                self._paths[track_id] = DropletPath(
+                    first_frame=frames[start],
+                    last_frame=frames[start],
+                    first_box=boxes[start].tolist(),
+                    last_box=boxes[start].tolist(),
+                )
+            path = self._paths[track_id]
             path.last_frame = frames[end - 1]
+            path.last_box = boxes[end - 1].tolist()
             some = order[start:end][whole[start:end]]
             path.add(*(column[some].tolist() for column in (rows.frame, rows.x, rows.y)))
             path.n_observed += int(observed[k])
@@ -126,6 +141,22 @@ class Paths:
                     table[-1]["speed_um_per_s"] = units.um_per_px * units.fps * speed
         return table
 
+    def passages(self, width: float, height: float) -> tuple[list[str], list[str]]:
+        """Where droplets entered after the first frame, and left before the last one.
+
+        For each of them the side of an image of some px, or inside: see `side_of`.
+        """
+        entered, left = [], []
+        for path in self._paths.values():
+            n_steps = path.last_frame - path.first_frame
+            step = path.length_px / n_steps if n_steps else 0.0
+            dx, dy = (b - a for a, b in zip(path.first_box[:2], path.last_box[:2], strict=True))
+            if path.first_frame > self._first_frame:
+                entered.append(side_of(path.first_box, width, height, (-dx, -dy), step))
+            if path.last_frame < self._last_frame:
+                left.append(side_of(path.last_box, width, height, (dx, dy), step))
+        return entered, left
+
     def lines(self) -> dict[int, NDArray[np.float32]]:
         """Of each droplet, points (K, 2) px along its path, the last one included."""
         return {
@@ -133,3 +164,43 @@ class Paths:
             for track_id, path in sorted(self._paths.items())
             if path.first_whole is not None
         }
+
+
+def side_of(
+    box: Sequence[float], width: float, height: float, heading: tuple[float, float], step: float
+) -> str:
+    """The side of an image that a box cx, cy, w, h is at, or "inside"; all in px.
+
+    `heading`: the way out, any length: of sides in its direction, the one it meets first. The box
+    is at it if there is no room for another droplet between them, or for a `step` that it goes in a
+    frame.
+
+    >>> side_of((25, 50, 20, 20), 640, 480, (-1, 0), 12)
+    'left'
+    >>> side_of((300, 200, 20, 20), 640, 480, (-1, 0), 12)
+    'inside'
+    """
+    cx, cy, w, h = box
+    dx, dy = heading
+    sides = (
+        ("left", -dx, cx - w / 2, w),
+        ("right", dx, width - cx - w / 2, w),
+        ("top", -dy, cy - h / 2, h),
+        ("bottom", dy, height - cy - h / 2, h),
+    )
+    ahead = [
+        (max(room, 0) / speed, side, room, size) for side, speed, room, size in sides if speed > 0
+    ]
+    if not ahead:  # it does not move, as far as anyone knows
+        ahead = [(room, side, room, size) for side, _, room, size in sides]
+    _, side, room, size = min(ahead)
+    return side if room < max(size, step) else "inside"
+
+
+def counted(sides: list[str]) -> list[str]:
+    """How many there are of each.
+
+    >>> counted(["left", "inside", "left"])
+    ['left 2', 'inside 1']
+    """
+    return [f"{side} {sides.count(side)}" for side in SIDES if side in sides]

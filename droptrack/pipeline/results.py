@@ -13,12 +13,13 @@ from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.data.units import Units
-from droptrack.pipeline.paths import Paths
+from droptrack.pipeline.paths import Paths, counted
 from droptrack.pipeline.threads import AnnotatedVideo
-from droptrack.tracking.recorder import Recorded
+from droptrack.tracking.recorder import Gap, Recorded
 from droptrack.tracking.session import TrackingSession
 from droptrack.tracking.smoothing import COLUMNS as SMOOTHED
 from droptrack.tracking.smoothing import Smoother
+from droptrack.tracking.tracker import Velocity
 
 AT_EDGE = "at_edge"
 FIXED = ("frame", "x", "y", "w", "h")  # columns that other units are of
@@ -46,6 +47,8 @@ class Results:
     n_detections: int = 0
     slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
     paths: Paths = field(default_factory=Paths)
+    gaps: list[Gap] = field(default_factory=list)  # that were bridged, once all is finished
+    velocities: tuple[Velocity, ...] = ()  # two if the images do not tell which is right
     _late: deque[tuple[int, Frame]] = field(default_factory=deque)
     _smoother: Smoother = field(default_factory=Smoother)
 
@@ -54,11 +57,12 @@ class Results:
         with self.times.measure("write"):
             self._write(self._smoother.add(final))
 
-    def finish(self, rest: Recorded) -> None:
+    def finish(self, session: TrackingSession) -> None:
         """Write the rows that are left, and those that are being smoothed."""
         with self.times.measure("write"):
-            self._write(self._smoother.add(rest))
+            self._write(self._smoother.add(session.finish()))
             self._write(self._smoother.rest())
+        self.gaps, self.velocities = session.gaps, session.possible_velocities
 
     def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
         for recorded, columns in smoothed:
@@ -99,19 +103,29 @@ class Results:
 def summarise(
     results: Results,
     settings: dict[str, Value],
+    size: tuple[float, float],
     n_missing: int,
     seconds: float,
     doubts: list[str] | None = None,
 ) -> Report:
-    """One row a droplet: when and how far it went.
+    """One row a droplet: when and how far it went; and one a long gap that was bridged.
 
-    `n_missing` frames could not be decoded; `seconds` are those of the whole; `doubts`: what makes
-    one doubt the results.
+    `size`: width and height of the images, px; `n_missing` frames could not be decoded; `seconds`
+    are those of the whole; `doubts`: what makes one doubt the results.
     """
     droplets = results.paths.table(results.units)
+    entered, left = results.paths.passages(*size)
+    gaps = sorted(results.gaps, key=lambda gap: (gap.first_frame, gap.track_id))
     summary: dict[str, Value] = {
         "n_frames": results.n_frames,
         "n_droplets": len(droplets),
+        "n_entered": len(entered),
+        "entered_at": counted(entered),
+        "n_left": len(left),
+        "left_at": counted(left),
+        "n_long_gaps": len(gaps),
+        "n_gaps_against_flow": sum(gap.against_flow for gap in gaps),
+        "velocity_is_ambiguous": bool(results.velocities),
         "n_detections": results.n_detections,
         "n_centres_of_mass_measured": results.n_measured,
         "n_frames_missing": n_missing,
@@ -123,7 +137,7 @@ def summarise(
     }
     if doubts:
         summary["doubts"] = doubts
-    return Report("Droplets", settings, summary, droplets)
+    return Report("Droplets", settings, summary, droplets, [gap._asdict() for gap in gaps])
 
 
 def write_report(folder: Path, report: Report, paths: Paths, size: tuple[int, int]) -> None:

@@ -25,7 +25,7 @@ from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.doubts import doubts
 from droptrack.pipeline.loop import track_frames
-from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.notes import Say, say_what_is_unsure, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.results_folder import prepare_folder, whole_name
@@ -105,9 +105,10 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     settings = {**about, **_settings(config, opened)}
     seconds = time.perf_counter() - began
     odd = doubts(results.paths.each(), results.n_frames, network, opened.network.scale)
-    report = summarise(results, settings, n_missing, seconds, odd)
+    size = (info.width, info.height)
+    report = summarise(results, settings, size, n_missing, seconds, odd)
     with whole():
-        write_report(folder, report, results.paths, (info.width, info.height))
+        write_report(folder, report, results.paths, size)
     if problem is not None:
         problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
     else:
@@ -326,6 +327,7 @@ def _say_what_is_odd(
             f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
             f"{', or ends early' if source.counted else ''}"
         )
+    say_what_is_unsure(config.video, results, say)
     if results.n_frames and not results.n_detections:
         shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")
         say(

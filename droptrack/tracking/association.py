@@ -9,20 +9,19 @@ from droptrack.data.arrays import Floats, Rows
 
 def assign_in_order(
     rows: Rows, columns: Rows, cost: Floats, cost_of_none: float, *, jointly: bool = True
-) -> tuple[Rows, Rows, Floats]:
-    """The pairs that are chosen out of P possible ones, in their order: rows, columns, costs.
+) -> Rows | slice:
+    """Which of P possible pairs are chosen, in their order.
 
     By `assign_sparse`, or if not `jointly`, by `assign_greedy`.
     """
     assign = assign_sparse if jointly else assign_greedy
     chosen, taken = assign(rows, columns, cost, cost_of_none)
     if len(chosen) == len(rows):  # there was no choice
-        return rows, columns, cost
+        return slice(None)
     width = int(columns.max()) + 1
     pairs, wanted = rows * width + columns, np.sort(chosen * width + taken)
     order = np.argsort(pairs)
-    at = order[np.searchsorted(pairs, wanted, sorter=order)]
-    return rows[at], columns[at], cost[at]
+    return order[np.searchsorted(pairs, wanted, sorter=order)]
 
 
 def assign_sparse(

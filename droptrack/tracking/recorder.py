@@ -5,6 +5,7 @@ missed for a while and is the same. So rows are held back for a few frames: thos
 frames are added when it is confirmed, and gaps are bridged when it is seen again.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories, concatenate
-from droptrack.tracking.tracker import Update
+from droptrack.tracking.tracker import LONG_GAP, Resumption, Update
 
 NO_TRACK = 0  # the identity of rows that do not count
 # columns of a row's values; those before are x, y, cx, cy, those after N_COLUMNS are further ones
@@ -33,6 +34,20 @@ class Row(NamedTuple):
     track_id: int
     values: Floats
     observed: bool
+
+
+class Gap(NamedTuple):
+    """A long gap that was bridged: from its first frame on, so many frames.
+
+    `distance_px`: between where the droplet was seen before and after. The rest: see `Resumption`.
+    """
+
+    track_id: int
+    first_frame: int
+    n_frames: int
+    distance_px: float
+    confidence: float
+    against_flow: bool
 
 
 class _Rows(NamedTuple):
@@ -84,6 +99,8 @@ class Recorder:
 
     def __init__(self, hold: int, further: tuple[str, ...] = ()) -> None:
         self._further = further
+        self.gaps: list[Gap] = []
+        self._resumed: dict[int, Resumption] = {}  # of this frame
         self._added: deque[int] = deque(maxlen=hold + 1)  # the last frames
         self._frames: dict[int, list[_Rows]] = {}
         self._last: dict[int, int] = {}  # the frame in which each living track was last seen
@@ -106,6 +123,24 @@ class Recorder:
         if further is None:
             further = np.full((len(detections), len(self._further)), np.nan)
         values = np.column_stack([centres, detections.boxes, detections.scores, measured, further])
+        if update.again:
+            self._add_again(update.again)
+        self._add(frame, values, update)
+
+    def _add_again(self, updates: Sequence[Update]) -> None:
+        """All frames since the first box once more, with other tracks."""
+        frames = list(self._added)[-len(updates) :]
+        values = [self._frames.pop(frame)[0].values for frame in frames]
+        self.gaps.clear()
+        self._last.clear()
+        self._confirmed.clear()
+        self._terminated.clear()
+        for frame, one, update in zip(frames, values, updates, strict=True):
+            self._added.pop()
+            self._add(frame, one, update)
+
+    def _add(self, frame: int, values: Floats, update: Update) -> None:
+        self._resumed = {one.track_id: one for one in update.resumed}
         for new, old in update.merged:
             self._merge(old, new)
         self._added.append(frame)
@@ -162,6 +197,11 @@ class Recorder:
         """Fill the frames since the track was last seen, on a straight line, with score 0."""
         start = self._last[track_id]
         before, now = self._values_of(track_id, start), self._values_of(track_id, frame)
+        if frame - start - 1 > LONG_GAP:
+            known = self._resumed.pop(track_id, Resumption(track_id, math.nan, against_flow=False))
+            distance = math.dist(before[:2].tolist(), now[:2].tolist())
+            gap = Gap(track_id, start + 1, frame - start - 1, distance, *known[1:])
+            self.gaps.append(gap)
         for between in range(start + 1, frame):
             share = (between - start) / (frame - start)
             values = (1 - share) * before + share * now

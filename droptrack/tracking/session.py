@@ -7,8 +7,8 @@ import numpy as np
 
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.detections import Detections
-from droptrack.tracking.recorder import NO_ROWS, Recorded, Recorder, Row
-from droptrack.tracking.tracker import Tracker
+from droptrack.tracking.recorder import NO_ROWS, Gap, Recorded, Recorder, Row
+from droptrack.tracking.tracker import Tracker, Velocity
 
 
 class Recordable(NamedTuple):
@@ -42,6 +42,16 @@ class TrackingSession:
         """Frames after which the tracks in a frame are confirmed, merged or terminated."""
         return self._tracker.delay
 
+    @property
+    def gaps(self) -> list[Gap]:
+        """Those of more than three frames that were bridged so far."""
+        return self._recorder.gaps
+
+    @property
+    def possible_velocities(self) -> tuple[Velocity, ...]:
+        """Two if the images do not tell which of them is right: see `Tracker`."""
+        return self._tracker.possible_velocities
+
     def add(
         self,
         frame: int,
@@ -50,28 +60,39 @@ class TrackingSession:
         measured: Bools,
         descriptors: Floats,
         recorded: Recordable | None = None,
+        *,
+        image: bool | None = None,
     ) -> Recorded:
         """Take the M detections of a frame; returns rows that the frames before it made final.
 
         `centres` (M, 2): of the droplets, px; `measured` (M,): which of them are centres of mass,
-        not of boxes; `descriptors` (M, D): see `Tracker`; `recorded`: what rows say, where that is
-        more than what the tracker goes by. Rows come with every tenth frame, each
+        not of boxes; `descriptors` (M, D) and `image`: see `Tracker`; `recorded`: what rows say,
+        where that is more than what the tracker goes by. Rows come with every tenth frame, each
         once.
         """
         due = self.n_frames > 0 and self.n_frames % FRAMES_AT_ONCE == 0
         final = self._recorder.take_final() if due else NO_ROWS
         expected = frame if self._live or self._next is None else self._next
         for missed in range(expected, frame):
-            self._track(missed, detections[:0], centres[:0], measured[:0], descriptors[:0])
-        self._track(frame, detections, centres, measured, descriptors, recorded)
+            none = (detections[:0], centres[:0], measured[:0], descriptors[:0])
+            self._track(missed, *none, image=False)
+        self._track(frame, detections, centres, measured, descriptors, recorded, image=image)
         self._next = frame + 1
         self.n_frames += 1
         return final
 
-    def add_boxes(self, frame: int, detections: Detections, descriptors: Floats) -> Recorded:
+    def add_boxes(
+        self,
+        frame: int,
+        detections: Detections,
+        descriptors: Floats,
+        *,
+        image: bool | None = None,
+    ) -> Recorded:
         """As `add`, where nothing but boxes is known: their centres are the droplets'."""
         measured = np.zeros(len(detections), bool)
-        return self.add(frame, detections, detections.boxes[:, :2], measured, descriptors)
+        centres = detections.boxes[:, :2]
+        return self.add(frame, detections, centres, measured, descriptors, image=image)
 
     def rows_of(self, frame: int) -> list[Row]:
         """The rows of a frame so far, see `Recorder`; call it before the next frame is added."""
@@ -89,8 +110,10 @@ class TrackingSession:
         measured: Bools,
         descriptors: Floats,
         recorded: Recordable | None = None,
+        *,
+        image: bool | None,
     ) -> None:
-        update = self._tracker.update(detections.boxes, descriptors)
+        update = self._tracker.update(detections.boxes, descriptors, image=image)
         further = None
         if recorded is not None:
             detections = replace(detections, boxes=recorded.boxes)

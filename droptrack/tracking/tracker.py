@@ -1,9 +1,24 @@
 """What every tracker does: detections of a frame in, the identity of each of them out."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from droptrack.data.arrays import Floats, Rows
+
+LONG_GAP = 3  # frames; a longer one is reported
+Velocity = tuple[float, float]  # px a frame
+
+
+class Resumption(NamedTuple):
+    """A droplet that is seen again: its track, how sure that is, and whether it went backwards.
+
+    `confidence`: the probability that it is the same, from 0 to 1; NaN where nobody knows it.
+    `against_flow`: the others there go the other way.
+    """
+
+    track_id: int
+    confidence: float
+    against_flow: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,13 +28,17 @@ class Update:
     track_ids (M,): the track of each detection, from 1; confirmed: tracks that are droplets from
     now on, their earlier detections too; terminated: tracks that will not be seen again; merged:
     pairs of a track, not confirmed before, and the older one that it turned out to continue, whose
-    identity it has from this frame on.
+    identity it has from this frame on; resumed: droplets seen again after a long gap, in tracks as
+    they are named after `merged`; again: what all frames until this one did, from the first with a
+    box on, in place of what was said then; they are `delay` at most.
     """
 
     track_ids: Rows
     confirmed: tuple[int, ...] = ()
     terminated: tuple[int, ...] = ()
     merged: tuple[tuple[int, int], ...] = ()
+    resumed: tuple[Resumption, ...] = ()
+    again: "tuple[Update, ...]" = ()
 
 
 class Tracker(Protocol):
@@ -37,8 +56,16 @@ class Tracker(Protocol):
     def delay(self) -> int:
         """Frames after its first detection by which a track is confirmed, merged or terminated."""
 
-    def update(self, boxes: Floats, descriptors: Floats) -> Update:
-        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
+    @property
+    def possible_velocities(self) -> tuple[Velocity, ...]:
+        """Velocities that explain all images alike, the one believed first; none if one does."""
+
+    def update(self, boxes: Floats, descriptors: Floats, *, image: bool | None = None) -> Update:
+        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D).
+
+        `image`: whether there is an image of the frame, in which droplets can be missed; None where
+        nobody knows.
+        """
 
 
 def check_descriptors(boxes: Floats, descriptors: Floats) -> None:

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.simulate import app
-from data_gen.videos.motions import HEIGHT, MOTIONS, WIDTH, Kind, Motion, make
+from data_gen.videos.motions import HEIGHT, MOTIONS, N_STOPPING, WIDTH, Kind, Motion, make, move
 from droptrack.data.mot_files import open_detections
 from droptrack.data.trajectories import read_trajectories
 
@@ -55,6 +55,46 @@ def test_speeds_are_in_diameters_per_frame() -> None:
     np.testing.assert_allclose(shear[:, 0], 2 * place[:, 1] / HEIGHT, atol=1e-9)
     _, packing = steps(replace(MOTIONS["packing"], frames=3))
     np.testing.assert_allclose(packing, np.tile([0.525, 0], (len(packing), 1)), atol=1e-9)
+
+
+def path_of(motion: Motion, droplet: int) -> np.ndarray:
+    """Places (T, 2) of a droplet in all frames, in diameters."""
+    paths, _ = move(np.random.default_rng(0), motion)
+    return np.asarray(paths[droplet] / motion.diameter)
+
+
+def test_a_pulsing_train_nearly_rests_and_a_reversing_one_comes_back() -> None:
+    pulsing = np.diff(path_of(replace(MOTIONS["pulsing"], frames=33), 5)[:, 0])
+    smallest = 0.55 - 0.45 * np.sinc(1 / 8)  # mean of 0.55 - 0.45 cos over a sixteenth of a period
+    assert pulsing.min() == pytest.approx(0.6 * smallest)
+    assert pulsing.max() == pytest.approx(0.6, rel=0.05)
+    np.testing.assert_allclose(pulsing[:16], pulsing[16:], atol=1e-9)
+    reversing = path_of(replace(MOTIONS["reversing"], frames=17), 5)[:, 0]
+    assert reversing[16] == pytest.approx(reversing[0])
+    assert np.diff(reversing).max() == pytest.approx(0.6, rel=0.05)
+    assert np.diff(reversing).min() == pytest.approx(-0.6, rel=0.05)
+
+
+def test_where_channels_have_merged_droplets_go_twice_as_fast_one_by_one() -> None:
+    motion = MOTIONS["joining"]
+    truth, _ = make(replace(motion, missing=0, false=0, jitter=0), 0)
+    merged = truth[truth.x > 600]
+    assert np.ptp(merged.y) == 0
+    for frame in range(0, motion.frames, 10):
+        x = np.sort(merged.x[merged.frame == frame])
+        np.testing.assert_allclose(np.diff(x), 2 * motion.diameter)
+    one = path_of(motion, 10)
+    step = np.diff(one[:, 0])
+    assert step[one[:-1, 0] > 600 / 60].max() == pytest.approx(0.6)
+    assert step[one[1:, 0] < 450 / 60].max() == pytest.approx(0.3)
+
+
+def test_droplets_that_stop_at_a_wall_stay_apart_and_at_rest() -> None:
+    motion = MOTIONS["stopping"]
+    paths = move(np.random.default_rng(0), motion)[0][-N_STOPPING:] / motion.diameter
+    np.testing.assert_allclose(np.diff(paths[:, :10, 0]), 0.5)
+    np.testing.assert_allclose(np.diff(paths[:, 30:, 0]), 0)
+    np.testing.assert_allclose(-np.diff(paths[:, -1, 0]), 4)
 
 
 def test_vortices_neither_gain_nor_lose_area() -> None:

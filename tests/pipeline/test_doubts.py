@@ -11,7 +11,10 @@ CFG, _ = find_network()
 
 def path(x: float, y: float, *, frames: int = 40, step: float = 2.0) -> DropletPath:
     """A droplet of 20 px that moves `step` px a frame along x."""
-    one = DropletPath(first_frame=0, last_frame=frames - 1, n_observed=frames)
+    box = [x, y, 20.0, 20.0]
+    one = DropletPath(
+        first_frame=0, last_frame=frames - 1, first_box=box, last_box=box, n_observed=frames
+    )
     one.add(list(range(frames)), [x + step * k for k in range(frames)], [y] * frames)
     one.diameters_px, one.n_diameters = 20.0 * frames, frames
     return one

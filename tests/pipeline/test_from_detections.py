@@ -9,13 +9,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from data_gen.videos.motions import make, train
 from droptrack.__main__ import app
 from droptrack.data.detections import labels
-from droptrack.data.mot_files import BLOCK, MERGE_BLOCK, open_detections, write_detections
-from droptrack.data.trajectories import read_trajectories
+from droptrack.data.mot_files import (
+    BLOCK,
+    MERGE_BLOCK,
+    open_detections,
+    read_frame_list,
+    write_detections,
+)
+from droptrack.data.trajectories import TrajectoryWriter, read_trajectories
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import DetectionsConfig
 from droptrack.pipeline.from_detections import open_descriptors, run_detections
+from droptrack.pipeline.notes import say_what_is_unsure
+from droptrack.pipeline.results import FURTHER_COLUMNS, Results
+from droptrack.tracking.recorder import Gap
 
 TWO = [[20.0, 30, 10, 12], [60.0, 30, 14, 10]]
 
@@ -283,3 +293,82 @@ def test_a_mark_before_the_text_is_no_part_of_it(tmp_path: Path) -> None:
     path = tmp_path / "det.txt"
     path.write_bytes(b"\xef\xbb\xbf1,-1,9,9,8,8,1\n")
     assert open_detections(path).n_rows == 1
+
+
+def test_a_list_of_frames_says_which_exist(tmp_path: Path) -> None:
+    path = file_of(tmp_path, "1-3 7\n5\n")
+    listed = read_frame_list(path)
+    assert [n for n in range(10) if n in listed] == [1, 2, 3, 5, 7]
+    assert listed.last == 7
+
+
+@pytest.mark.parametrize("text", ["0", "3-2", "1,2", "-4", "x", "1-2-3", ""])
+def test_a_bad_list_of_frames_is_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(DroptrackError, match=r"lists no frame|numbers of frames from 1"):
+        read_frame_list(file_of(tmp_path, text))
+
+
+def test_a_box_in_a_frame_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    write_detections(tmp_path / "d.txt", [labels(TWO)] * 3)
+    (tmp_path / "frames.txt").write_text("1 3")
+    options = ("--detections", str(tmp_path / "d.txt"), "--frames", str(tmp_path / "frames.txt"))
+    said = fails(*options, "--out", str(tmp_path / "out"))
+    assert "d.txt: frame 2, row 3: has a box, but" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_droplet_is_missed_only_in_frames_that_exist(tmp_path: Path) -> None:
+    """One box in every third frame: a droplet if the others do not exist, two misses if they do."""
+    frames = [labels([[20.0 + t, 30, 10, 12]] if t % 3 == 0 else []) for t in range(31)]
+    write_detections(tmp_path / "d.txt", frames)
+    (tmp_path / "some.txt").write_text(" ".join(str(t + 1) for t in range(0, 31, 3)))
+    (tmp_path / "all.txt").write_text("1-33")
+    n = {}
+    for name in ("some", "all"):
+        options = ["--detections", str(tmp_path / "d.txt"), "--out", str(tmp_path / name)]
+        track(*options, "--frames", str(tmp_path / f"{name}.txt"))
+        report = json.loads((tmp_path / name / "report.json").read_text())
+        n[name] = [report["summary"][k] for k in ("n_droplets", "n_frames", "n_frames_missing")]
+    assert n == {"some": [1, 31, 20], "all": [0, 33, 0]}
+
+
+def test_a_train_whose_step_may_be_another_is_said_to_be_ambiguous(tmp_path: Path) -> None:
+    _, frames = make(train(spacing=2.0, step=0.45), 0)
+    write_detections(tmp_path / "d.txt", frames)
+    options = ["--detections", str(tmp_path / "d.txt"), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(app, ["track", *options])
+    assert "velocity_is_ambiguous" in result.stderr
+    assert "--expect-velocity=-1" in result.stderr  # 0.55 of the spacing, backwards
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["summary"]["velocity_is_ambiguous"]
+    assert [one.split()[0] for one in report["summary"]["entered_at"]] == ["left"]
+    told = CliRunner().invoke(app, ["track", *options, "--expect-velocity", "108,0"])
+    assert "ambiguous" not in told.stderr
+
+
+def test_a_long_gap_is_reported_with_its_length_distance_and_confidence(tmp_path: Path) -> None:
+    """One of fourteen droplets is unseen for eight frames, in which it goes 18 px."""
+    frames = []
+    for t in range(40):
+        places = [(20.0 + 2 * t + 40 * i, 30.0 + i % 2 * 30) for i in range(14)]
+        if 15 <= t < 23:
+            del places[5]
+        frames.append(labels([[x, y, 16, 16] for x, y in places]))
+    write_detections(tmp_path / "d.txt", frames)
+    output = track("--detections", str(tmp_path / "d.txt"), "--out", str(tmp_path / "out"))
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    (gap,) = report["gaps"]
+    assert (gap["first_frame"], gap["n_frames"], gap["against_flow"]) == (15, 8, False)
+    assert gap["distance_px"] == pytest.approx(18)
+    assert 0.9 < gap["confidence"] <= 1
+    assert report["summary"]["n_long_gaps"] == 1
+    assert "Bridged gaps of more than 3 frames" in output
+
+
+def test_gaps_bridged_against_the_flow_are_said_aloud(tmp_path: Path) -> None:
+    said: list[str] = []
+    with TrajectoryWriter(tmp_path / "t.csv", {}, FURTHER_COLUMNS) as rows:
+        backwards, forwards = Gap(7, 15, 8, 20.0, 0.6, True), Gap(9, 3, 5, 20.0, 0.9, False)
+        say_what_is_unsure("d.txt", Results(rows, gaps=[forwards, backwards]), said.append)
+    (line,) = said
+    assert "against the flow, of droplets 7 (frames 15 to 22): look" in line

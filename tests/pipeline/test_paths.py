@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from droptrack.data.trajectories import Trajectories, sorted_trajectories
-from droptrack.pipeline.paths import MAX_POINTS, Paths
+from droptrack.pipeline.paths import MAX_POINTS, Paths, counted
 
 
 def rows(points: list[tuple[int, int, float, float, bool]]) -> Trajectories:
@@ -53,3 +53,16 @@ def test_long_lines_are_thinned_more_and_keep_their_shape() -> None:
     assert MAX_POINTS / 4 < len(line) <= MAX_POINTS + 1
     assert (line[0].tolist(), line[-1].tolist()) == ([0, 0], [x[-1], np.float32(y[-1])])
     np.testing.assert_allclose(line[:, 1], 1e-4 * line[:, 0].astype(float) ** 2, rtol=1e-5)
+
+
+def test_droplets_enter_and_leave_at_the_side_that_they_go_through() -> None:
+    """In 100 x 50 px: one passes from left to right along the bottom, one comes from the top and
+    is lost in the middle, one is there all the time."""
+    across = [(t, 1, 4.0 + 10 * (t - 1), 45.0, True) for t in range(1, 11)]
+    down = [(t, 2, 30.0, 2.0 + 6 * t, True) for t in range(1, 5)]
+    stays = [(t, 3, 70.0, 20.0, True) for t in range(12)]
+    paths = Paths()
+    paths.add(rows([*across, *down, *stays]))
+    entered, left = paths.passages(100, 50)
+    assert counted(entered) == ["left 1", "top 1"]
+    assert counted(left) == ["right 1", "inside 1"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from droptrack.data.detections import Detections
+from droptrack.data.detections import Detections, labels
 from droptrack.data.trajectories import Trajectories, read_trajectories, sorted_trajectories
 from droptrack.data.video import Video
 from droptrack.detection.engine_choice import Backend, Network, choose_detector
@@ -25,6 +25,7 @@ from droptrack.network.darknet_cfg import read_cfg
 REFERENCE = Path(__file__).parents[1] / "reference" / "constriction_detections.npz"
 SEEDS = (0, 1, 2, 3)
 STEP_PX = 0.02  # to which places are kept
+Frames = list[tuple[Detections, NDArray[np.float64]]]  # boxes, and centres of mass (M, 2)
 
 
 def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
@@ -48,7 +49,7 @@ def record(folder: Path) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
     return np.concatenate(found).round().astype(np.int16), known.round().astype(np.int16)
 
 
-def load(seed: int) -> tuple[list[tuple[Detections, NDArray[np.float64]]], Trajectories]:
+def load(seed: int) -> tuple[Frames, Trajectories]:
     """Detections and centres of mass (M, 2) of each frame, and ground truth."""
     with np.load(REFERENCE) as arrays:
         found, known = arrays[f"found {seed}"], arrays[f"truth {seed}"]
@@ -67,6 +68,26 @@ def load(seed: int) -> tuple[list[tuple[Detections, NDArray[np.float64]]], Traje
         known[:, 8].astype(float),
         np.ones(len(known), bool),
     )
+
+
+def without(frames: Frames, share: float, rng: np.random.Generator) -> Frames:
+    """With a share of the boxes taken out."""
+    kept = [np.flatnonzero(rng.random(len(found)) >= share) for found, _ in frames]
+    return [(f[rows], centres[rows]) for (f, centres), rows in zip(frames, kept, strict=True)]
+
+
+def with_more(frames: Frames, share: float, rng: np.random.Generator) -> Frames:
+    """With boxes between a share of the boxes and the ones nearest to them."""
+    result = []
+    for found, centres in frames:
+        boxes = found.boxes
+        apart = np.hypot(*(boxes[:, None, :2] - boxes[None, :, :2]).transpose(2, 0, 1))
+        np.fill_diagonal(apart, np.inf)
+        rows = np.flatnonzero(rng.random(len(boxes)) < share)
+        more = (boxes[rows] + boxes[apart.argmin(axis=1)[rows]]) / 2
+        everything = labels(np.vstack([boxes, more]))
+        result.append((everything, np.vstack([centres, more[:, :2]])))
+    return result
 
 
 if __name__ == "__main__":

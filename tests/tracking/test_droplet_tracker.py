@@ -1,25 +1,29 @@
 """The droplet tracker on drawings that one can count by eye, and on what has gone wrong."""
 
 import tracemalloc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from bench.track_scores import score
 from droptrack.data.detections import labels
+from droptrack.data.trajectories import Trajectories
 from droptrack.evaluation.trajectories import evaluate
 from droptrack.evaluation.trajectory_scores import assign
 from droptrack.tracking.appearance import describe_sizes
 from droptrack.tracking.association import assign_greedy, assign_sparse
+from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 from droptrack.tracking.droplet.noise import median
 from droptrack.tracking.droplet.parameters import DropletParameters
+from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracker import DropletTracker
 from droptrack.tracking.recorder import concatenated
 from droptrack.tracking.session import TrackingSession
-from droptrack.tracking.tracker import Update
-from tests.tracking.constriction_detections import SEEDS, load
+from droptrack.tracking.tracker import Tracker, Update
+from tests.tracking.constriction_detections import SEEDS, Frames, load, with_more, without
 
 DATA = Path(__file__).parents[1] / "reference"
 Floats = NDArray[np.float64]
@@ -70,6 +74,20 @@ def test_a_droplet_missed_for_some_frames_is_the_same_afterwards(gap: int) -> No
     assert ids(frames) == [[] if 20 <= t < 20 + gap else [1] for t in range(50)]
 
 
+@pytest.mark.parametrize(("ahead", "against"), [(20.0, False), (-20.0, True)])
+def test_a_gap_against_the_flow_is_known_as_such(ahead: float, against: bool) -> None:
+    """Ten droplets go right by 2 px a frame; the first is seen again 20 px ahead, or behind."""
+    places = [(50.0 + 40 * i, 50.0 + i % 2 * 30) for i in range(10)]
+    tracker = DropletTracker(DropletParameters())
+    run([[disc(x + 2 * t, y) for x, y in places] for t in range(10)], tracker)
+    run([[disc(x + 2 * t, y) for x, y in places[1:]] for t in range(10, 15)], tracker)
+    lost = np.flatnonzero(tracker.tracks.missed > 0)
+    ends = tracker.tracks.last_position[lost] + np.array([ahead, 0.0])
+    five, even = np.array([5]), np.zeros(1)
+    (found,) = resumptions(tracker.tracks, lost, ends, five, even, tracker.flow)
+    assert found == (int(tracker.tracks.ids[lost[0]]), 0.5, against)
+
+
 def test_a_droplet_missed_for_longer_than_max_age_is_a_new_one() -> None:
     there = [disc(50, 50)]
     frames: list[list[Box]] = [*[there] * 10, *[[]] * 21, *[there] * 5]
@@ -104,19 +122,42 @@ def test_a_duplicate_that_stays_is_a_droplet() -> None:
     assert [t for t, update in enumerate(updates) if 2 in update.confirmed] == [10 + 14]
 
 
+def tracked(frames: Frames, tracker: Tracker) -> Trajectories:
+    session, parts = TrackingSession(tracker), []
+    for number, (found, centres) in enumerate(frames):
+        sizes = describe_sizes(found.boxes)
+        parts.append(session.add(number, found, centres, np.ones(len(found), bool), sizes))
+    return concatenated([*parts, session.finish()]).rows
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_in_a_constriction_no_droplet_is_switched_missed_or_false(seed: int) -> None:
     """19 droplets, 155 frames; DeepSORT has 3, 0, 1, 1 switches and 40, 0, 4, 4 false ones."""
     frames, truth = load(seed)
-    session = TrackingSession(DropletTracker(DropletParameters()))
-    parts = [
-        session.add(number, found, centres, np.ones(len(found), bool), np.zeros((len(found), 0)))
-        for number, (found, centres) in enumerate(frames)
-    ]
-    rows = concatenated([*parts, session.finish()]).rows
+    rows = tracked(frames, DropletTracker(DropletParameters()))
     summary = evaluate(truth, rows, 205).summary
     assert [summary[k] for k in ("n_switches", "n_false", "n_missed")] == [0, 0, 0]
     assert summary["n_tracks"] == 19
+
+
+@pytest.mark.parametrize(
+    ("change", "share"),
+    [(without, 0.01), (without, 0.02), (without, 0.05), (with_more, 0.01), (with_more, 0.02)],
+)
+def test_a_missed_box_or_one_too_many_costs_no_identity(
+    change: Callable[[Frames, float, np.random.Generator], Frames], share: float
+) -> None:
+    """At most one switch in 5,000 rows, and never more than DeepSORT has."""
+    ours, theirs, n_rows = [], [], 0
+    for seed in SEEDS:
+        frames, truth = load(seed)
+        faulty = change(frames, share, np.random.default_rng(seed))
+        ours.append(score(truth, tracked(faulty, DropletTracker(DropletParameters()))))
+        theirs.append(score(truth, tracked(faulty, DeepSortTracker(DeepSortParameters()))))
+        n_rows += len(truth)
+    switches = sum(one.switches for one in ours)
+    assert switches <= min(n_rows / 5000, sum(one.switches for one in theirs))
+    assert np.mean([one.idf1 for one in ours]) > 0.998
 
 
 def test_sparse_assignment_is_as_good_as_the_dense_one() -> None:

@@ -3,7 +3,7 @@ import pytest
 
 from droptrack.data.detections import Detections
 from droptrack.tracking.recorder import Recorded, Recorder
-from droptrack.tracking.tracker import Update
+from droptrack.tracking.tracker import Resumption, Update
 
 
 def add(
@@ -13,13 +13,22 @@ def add(
     confirmed: tuple[int, ...] = (),
     terminated: tuple[int, ...] = (),
     merged: tuple[tuple[int, int], ...] = (),
+    resumed: tuple[Resumption, ...] = (),
+    again: tuple[Update, ...] = (),
 ) -> None:
     """Droplets by identity at x = y = where, boxes of 10 px."""
     ids = np.array(list(where), np.int64)
     centres = np.array([[v, v] for v in where.values()]).reshape(-1, 2)
     boxes = np.hstack([centres, np.full_like(centres, 10)])
     found = Detections(boxes, np.full(len(ids), 0.9), np.zeros(len(ids), np.int64))
-    update = Update(track_ids=ids, confirmed=confirmed, terminated=terminated, merged=merged)
+    update = Update(
+        track_ids=ids,
+        confirmed=confirmed,
+        terminated=terminated,
+        merged=merged,
+        resumed=resumed,
+        again=again,
+    )
     recorder.add(frame, found, centres, np.ones(len(ids), bool), update)
 
 
@@ -127,3 +136,34 @@ def test_of_two_boxes_of_one_droplet_the_larger_counts() -> None:
         (1, 1, 13, True),
         (2, 1, 14, True),
     ]
+
+
+def test_long_gaps_are_listed_with_what_the_tracker_knows_of_them() -> None:
+    """Three frames are no long gap; of the second one nobody knows how sure it is."""
+    recorder = Recorder(hold=40)
+    add(recorder, 0, {1: 0.0}, confirmed=(1,))
+    add(recorder, 4, {1: 4.0})
+    sure = Resumption(1, confidence=0.9, against_flow=True)
+    add(recorder, 9, {1: 1.0}, resumed=(sure,))
+    add(recorder, 16, {1: 1.0})
+    first, second = recorder.gaps
+    assert first[:3] == (1, 5, 4)
+    assert first.distance_px == pytest.approx(3 * 2**0.5)
+    assert first[4:] == (0.9, True)
+    assert second[:4] == (1, 10, 6, 0)
+    assert np.isnan(second.confidence)
+
+
+def test_the_first_frames_can_be_tracked_again() -> None:
+    """What was said before is forgotten: identities, who is a droplet, and gaps."""
+    recorder = Recorder(hold=40)
+    add(recorder, 0, {})
+    add(recorder, 1, {1: 10.0, 2: 20.0})
+    add(recorder, 2, {2: 11.0, 1: 21.0}, confirmed=(1, 2))
+    again = (
+        Update(track_ids=np.array([5, 6])),
+        Update(track_ids=np.array([5, 6]), confirmed=(5,)),
+    )
+    add(recorder, 3, {5: 12.0}, again=again)
+    rows = table(recorder.take_rest(unconfirmed=False))
+    assert rows == [(1, 5, 10, True), (2, 5, 11, True), (3, 5, 12, True)]

@@ -56,15 +56,14 @@ def test_a_live_source_may_leave_out_any_number_of_frames() -> None:
 
 
 def test_rows_come_with_every_tenth_frame_in_order_and_once() -> None:
-    """After 37 frames the first is final: the tracker's delay of 16 and its 20 misses."""
+    """After 45 frames the first is final: the tracker's delay of 24 and its 20 misses."""
     session = droplets()
     parts = run(session, list(range(70)))
     given = {t: part.rows.frame.tolist() for t, part in enumerate(parts) if len(part.rows)}
     assert given == {
-        40: list(range(3)),
-        50: list(range(3, 13)),
-        60: list(range(13, 23)),
-        70: list(range(23, 70)),
+        50: list(range(5)),
+        60: list(range(5, 15)),
+        70: list(range(15, 70)),
     }
 
 

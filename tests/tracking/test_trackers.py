@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.track_scores import Score, only_images, score, track
-from data_gen.videos.motions import MOTIONS, Kind, Motion, make
+from data_gen.videos.motions import IN_CHANNELS, MOTIONS, Kind, Motion, make
 from droptrack.data.trajectories import Trajectories, sorted_trajectories
 from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 from droptrack.tracking.droplet.parameters import DropletParameters
@@ -56,6 +56,11 @@ def test_no_identity_is_switched_in_fast_uniform_flow(speed: float) -> None:
         ("missing 30%", 25, 0.97),
         ("false 20%", 3, 0.995),
         ("jitter 10%", 5, 0.995),
+        ("jitter 20%", 220, 0.86),
+        ("pulsing", 0, 0.99),
+        ("reversing", 8, 0.92),
+        ("joining", 1, 0.98),
+        ("stopping", 0, 0.99),
     ],
 )
 def test_accuracy_must_not_get_worse(name: str, switches: int, idf1: float) -> None:
@@ -77,7 +82,7 @@ def test_never_worse_than_deepsort(name: str) -> None:
     motion = MOTIONS[name]
     if motion.kind not in (Kind.sine, Kind.packing, Kind.filled):
         motion = replace(motion, droplets=motion.droplets // SMALLER)
-    if motion.kind != Kind.train:  # of few droplets as it is
+    if motion.kind not in IN_CHANNELS:  # of few droplets as it is
         motion = replace(motion, frames=max(20, motion.frames // SMALLER))
     ours, theirs = judge(droplet(), motion), judge(DeepSortTracker(DeepSortParameters()), motion)
     assert ours.mota >= theirs.mota - ROUNDING

@@ -11,7 +11,7 @@ from droptrack.tracking.association import assign_sparse
 from droptrack.tracking.deepsort import kalman
 from droptrack.tracking.deepsort.matching import COST_STEP, cosine_distances, matching_cascade
 from droptrack.tracking.nearest import ROUNDING
-from droptrack.tracking.tracker import Update, check_descriptors
+from droptrack.tracking.tracker import Update, Velocity, check_descriptors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +49,17 @@ class DeepSortTracker:
         self.delay = parameters.n_init - 1
         self.n_init = parameters.n_init
 
-    def update(self, boxes: Floats, descriptors: Floats) -> Update:
-        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
+    @property
+    def possible_velocities(self) -> tuple[Velocity, ...]:
+        """None: DeepSORT does not ask."""
+        return ()
+
+    def update(self, boxes: Floats, descriptors: Floats, *, image: bool | None = None) -> Update:
+        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D).
+
+        A frame without an `image` is one without detections, as in the original.
+        """
+        del image
         check_descriptors(boxes, descriptors)
         self.mean, self.covariance = kalman.predict(self.mean, self.covariance)
         for track in self.tracks:

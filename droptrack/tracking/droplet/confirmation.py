@@ -5,12 +5,12 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats
 from droptrack.tracking.droplet.duplicates import MAX_DUPLICATE_FRAMES
 from droptrack.tracking.droplet.flow import Flow
+from droptrack.tracking.droplet.matching import MIN_EVIDENCE
 from droptrack.tracking.droplet.noise import FalseBoxes, Noise, median
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.tracks import Tracks
 
-MIN_EVIDENCE = 25.0  # 2 log likelihood ratio of a droplet
 MIN_DETECTION_RATE = 0.6  # detections a frame of a new track
 MAX_MISSES_OF_NEW = 1  # in a row
 MAX_FRAMES_OF_NEW = MAX_DUPLICATE_FRAMES + 1
@@ -69,13 +69,19 @@ def support_of(
     return support
 
 
-def unconfirmed(tracks: Tracks) -> Bools:
+def unconfirmed(tracks: Tracks, flow: Flow) -> Bools:
     """New tracks (N,) that nothing confirms any more.
 
-    It is their second miss in a row, or they have waited for too long.
+    It is their second miss in a row, or they have waited for too long. Those that would be out of
+    the region where droplets are seen wait, since more may yet become known of the flow.
     """
-    over = (tracks.unseen > MAX_MISSES_OF_NEW) | (tracks.frames > MAX_FRAMES_OF_NEW)
-    return np.asarray(~tracks.confirmed & over)
+    over = _gone(tracks) & ~flow.outside(tracks)
+    return np.asarray(~tracks.confirmed & (over | (tracks.frames > MAX_FRAMES_OF_NEW)))
+
+
+def _gone(tracks: Tracks) -> Bools:
+    """New tracks (N,) that were missed more than once in a row."""
+    return np.asarray(~tracks.confirmed & (tracks.unseen > MAX_MISSES_OF_NEW))
 
 
 def leaving(tracks: Tracks, support: Floats, flow: Flow) -> Bools:
@@ -83,7 +89,7 @@ def leaving(tracks: Tracks, support: Floats, flow: Flow) -> Bools:
 
     They go where the flow takes them, out of the region where droplets are seen.
     """
-    over = unconfirmed(tracks)
+    over = _gone(tracks)
     if not over.any():
         return over
     sure = tracks.evidence + support >= MIN_EVIDENCE_OF_LEAVING
@@ -114,7 +120,7 @@ def terminate(
     its boxes were false. A confirmed one is terminated by more than `max_age` misses, and if it is
     among those that `left`.
     """
-    new, over = ~tracks.confirmed, unconfirmed(tracks)
+    new, over = ~tracks.confirmed, unconfirmed(tracks, flow)
     lost = over | (tracks.confirmed & (tracks.missed > p.max_age))
     if left:
         lost |= np.isin(tracks.ids, left)

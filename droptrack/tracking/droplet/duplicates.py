@@ -32,9 +32,12 @@ def find_duplicates(tracks: Tracks, boxes: Floats, matches: Matches, p: DropletP
     k = min(NEAREST, len(droplets))
     _, near = nearest(cKDTree(tracks.state.position[droplets]), free[:, :2], k)
     near = droplets[near]  # (F, k)
-    lies = _covers(free, tracks, near) | _is_half(free, boxes, matches, tracks, near)
-    droplet = tracks.ids[near[np.arange(len(free)), lies.argmax(axis=1)]]
-    return np.where(lies.any(axis=1), droplet, 0)
+    area = _area_with_other_half(free, boxes, matches, tracks, near)
+    half = area < MAX_HALVES_AREA
+    lies = _covers(free, tracks, near) | half
+    # the droplet of which it is a half, else the nearest
+    best = np.where(half.any(axis=1), area.argmin(axis=1), lies.argmax(axis=1))
+    return np.where(lies.any(axis=1), tracks.ids[near[np.arange(len(free)), best]], 0)
 
 
 def _covers(free: Floats, tracks: Tracks, near: Rows) -> Bools:
@@ -45,15 +48,20 @@ def _covers(free: Floats, tracks: Tracks, near: Rows) -> Bools:
     return np.asarray(intersections(predicted, free[:, None]) > MIN_COVERED * smaller)
 
 
-def _is_half(free: Floats, boxes: Floats, matches: Matches, tracks: Tracks, near: Rows) -> Bools:
-    """Whether free boxes (F, 4) may be halves of the droplets of tracks (F, k)."""
+def _area_with_other_half(
+    free: Floats, boxes: Floats, matches: Matches, tracks: Tracks, near: Rows
+) -> Floats:
+    """Area (F, k) of free boxes and the boxes beside them that droplets have, in areas of before.
+
+    Infinite where a droplet has no box, or another place.
+    """
     given = np.full((len(tracks), 4), np.inf)  # boxes of this frame
     given[matches.rows] = boxes[matches.columns]
     other, area_before = given[near], np.exp(tracks.log_area[near])
     dx, dy = other[..., 0] - free[:, :1], other[..., 1] - free[:, 1:2]
     beside = np.hypot(dx, dy) < np.sqrt(area_before)
     area = other[..., 2:].prod(axis=2) + _areas(free)
-    return np.asarray(beside & (area < MAX_HALVES_AREA * area_before))
+    return np.where(beside, area / area_before, np.inf)
 
 
 def _areas(free: Floats) -> Floats:

@@ -3,7 +3,7 @@
 Where droplets are many, those of the same frame tell more, and nothing is remembered.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from droptrack.data.arrays import Bools, Floats
 from droptrack.tracking.droplet.tracks import Tracks
+from droptrack.tracking.tracker import Velocity
 
 MAX_SAMPLES = 96  # droplets of the last frames that are remembered
 MAX_DROPLETS = 12  # in a frame; where there are more, the frame itself tells
@@ -21,14 +22,51 @@ VOTE_DEVIATION = 0.15  # diameters, of a droplet from where the common step take
 MIN_SHARE = 0.6  # of the boxes that must agree with the common step
 UNSURE = 2.0  # boxes that disagree, before any is counted
 KERNEL_WIDTH = 0.3  # diameters, standard deviation of the kernel around a place
+FIRST_STEP_DEVIATION = 0.15  # of a new droplet's velocity, diameters a frame, before any is seen:
+FIRST_STEPS = 3.0  # it counts as so many droplets'
+MAX_FIRST_STEPS = 20.0  # droplets that tell of the deviation, the last ones
+MAX_SURPRISE = 0.5  # diameters a frame; more counts as this
 ALIAS_LENGTH = 1.5  # of the best step's, up to which another is as likely
 
 
 class CommonStep(NamedTuple):
-    """A velocity (2,), px a frame, and whether another one explains the images as well."""
+    """A velocity (2,), px a frame, and another one that explains the images as well, if any.
+
+    `share`: of the boxes that are where the velocity takes them.
+    """
 
     velocity: Floats
-    ambiguous: bool
+    share: float
+    other: Floats | None
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether there is another."""
+        return self.other is not None
+
+
+@dataclass(frozen=True)
+class WeighedVelocities:
+    """How often it was asked whether one velocity explains the images, and how often two did."""
+
+    n_asked: int = 0
+    n_ambiguous: int = 0
+    last: tuple[Velocity, ...] = ()  # two that did
+
+    def of(self, flow: "Flow", diameter: float) -> "WeighedVelocities":
+        """Asked once more, of the last images."""
+        common = flow.common_step(diameter)
+        if common is None:
+            return self
+        if common.other is None:
+            return WeighedVelocities(self.n_asked + 1, self.n_ambiguous, self.last)
+        both = tuple((float(x), float(y)) for x, y in (common.velocity, common.other))
+        return WeighedVelocities(self.n_asked + 1, self.n_ambiguous + 1, both)
+
+    @property
+    def possible(self) -> tuple[Velocity, ...]:
+        """Two velocities if they explain the images more often than one does."""
+        return self.last if 2 * self.n_ambiguous > self.n_asked else ()
 
 
 def _none() -> Floats:
@@ -48,6 +86,29 @@ class Flow:
     n_images: int = 0  # the last ones, in which the samples were seen
     low: Floats = field(default_factory=lambda: np.full(2, np.inf))
     high: Floats = field(default_factory=lambda: np.full(2, -np.inf))
+    n_first: float = FIRST_STEPS  # first steps, of which the last ones count more,
+    first_squares: float = FIRST_STEPS * FIRST_STEP_DEVIATION**2  # and their squares, see below
+
+    @property
+    def deviation(self) -> float:
+        """Of a new droplet's velocity from what is remembered, diameters a frame.
+
+        A flow that is less sure than was thought at first gets no wider: where a droplet may go
+        almost anywhere, it goes to the next one's place.
+        """
+        return min(FIRST_STEP_DEVIATION, float(np.sqrt(self.first_squares / self.n_first)))
+
+    def surprised(self, steps: Floats) -> "Flow":
+        """With how far off first steps (K, 2) of new droplets were, diameters a frame."""
+        if not self.images or not len(steps):
+            return self
+        squares = np.minimum((steps**2).sum(axis=1) / 2, MAX_SURPRISE**2)
+        keep = min(1.0, MAX_FIRST_STEPS / (self.n_first + len(steps)))
+        return replace(
+            self,
+            n_first=keep * (self.n_first + len(steps)),
+            first_squares=keep * (self.first_squares + float(squares.sum())),
+        )
 
     def seeing(self, frame: int, points: Floats) -> "Flow":
         """With the centres (M, 2) of a frame's boxes."""
@@ -64,6 +125,8 @@ class Flow:
             n_images=self.n_images,
             low=self.low,
             high=self.high,
+            n_first=self.n_first,
+            first_squares=self.first_squares,
         )
 
     def learned(self, tracks: Tracks) -> "Flow":
@@ -84,6 +147,8 @@ class Flow:
             n_images=self.n_images if full else self.n_images + 1,
             low=np.minimum(self.low, places.min(axis=0)),
             high=np.maximum(self.high, places.max(axis=0)),
+            n_first=self.n_first,
+            first_squares=self.first_squares,
         )
 
     def density(self, diameter: float) -> float:
@@ -101,10 +166,17 @@ class Flow:
         """
         if not self.images:
             return np.zeros(len(tracks), bool)
-        first, now = tracks.first_position, tracks.state.position
+        first = tracks.first_position
         margin = KERNEL_WIDTH * tracks.diameters[:, None]
         inside = ((first >= self.low - margin) & (first <= self.high + margin)).all(axis=1)
-        return np.asarray(inside & ((now < self.low) | (now > self.high)).any(axis=1))
+        return inside & self.outside(tracks)
+
+    def outside(self, tracks: Tracks) -> Bools:
+        """Tracks (N,) that are expected out of the region by now."""
+        if not self.images or self.low[0] > self.high[0]:  # no region is known yet
+            return np.zeros(len(tracks), bool)
+        now = tracks.state.position
+        return np.asarray(((now < self.low) | (now > self.high)).any(axis=1))
 
     def density_at(self, places: Floats, diameters: Floats) -> Floats:
         """Droplets a squared diameter (N,) that were around places (N, 2) in the last images."""
@@ -139,8 +211,10 @@ class Flow:
             return None
         near = np.hypot(*(steps - steps[best]).T) < 3 * VOTE_DEVIATION * diameter
         mean = np.asarray(steps[near & alike].mean(axis=0))
-        other = ~near & alike & (length < ALIAS_LENGTH * length[best])
-        return CommonStep(mean, bool(other.any()))
+        others = np.flatnonzero(~near & alike & (length < ALIAS_LENGTH * length[best]))
+        if not len(others):
+            return CommonStep(mean, float(share[best]), None)
+        return CommonStep(mean, float(share[best]), steps[others[share[others].argmax()]])
 
 
 def _shares(

@@ -26,6 +26,8 @@ WRONG_DEVIATION = 0.3  # diameters, standard deviation of the place of a wrong b
 WRONG_SIZE = 0.3  # standard deviation of the logarithm of width and height of a wrong box
 WRONG_COST = 9.0  # -2 log 0.01
 ANY_SIZE = 0.4  # standard deviation of the logarithm of width and height of all droplets
+MIN_EVIDENCE = 25.0  # 2 log likelihood ratio of a droplet, at which it is confirmed
+LEAST_WEIGHT = 0.01  # of a pair's evidence
 FRAME_COST = 0.5  # of every further frame that a track was missed,
 MAX_COSTLY_FRAMES = 10  # up to these
 
@@ -88,12 +90,26 @@ def match(
     if others:
         cost[tracks.missed[pairs.rows] > 1] += others
     good = cost < max_cost
-    rows, columns, cost = assign_in_order(
-        pairs.rows[good], pairs.columns[good], cost[good], max_cost, jointly=p.jointly
-    )
+    rows, columns, evidence = pairs.rows[good], pairs.columns[good], max_cost - cost[good]
+    price = -_weight(tracks, rows, evidence)
+    chosen = assign_in_order(rows, columns, price, 0.0, jointly=p.jointly)
+    rows, columns, evidence = rows[chosen], columns[chosen], evidence[chosen]
     free = np.ones(len(found), bool)
     free[columns] = False
-    return Matches(rows, columns, max_cost - cost, free.nonzero()[0])
+    return Matches(rows, columns, evidence, free.nonzero()[0])
+
+
+def _weight(tracks: Tracks, rows: Rows, evidence: Floats) -> Floats:
+    """What pairs (P,) of tracks in `rows`, with their evidence, weigh against each other.
+
+    A new track may have come from a false box, and then its miss is none. So what it still lacks to
+    be a droplet counts against it; where nothing else wants the detection, it is its own all the
+    same.
+    """
+    if tracks.confirmed.all():
+        return evidence
+    lack = np.where(tracks.confirmed, 0, np.maximum(MIN_EVIDENCE - tracks.evidence, 0))
+    return np.maximum(evidence - lack[rows], LEAST_WEIGHT * evidence)
 
 
 def _likelihood_terms(tracks: Tracks, noise: Noise, *, with_sizes: bool) -> _LikelihoodTerms:

@@ -1,46 +1,68 @@
 """Lost tracks that new ones continue: they are merged, and the older identity stays."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Bools, Floats, Rows
-from droptrack.tracking.association import assign_sparse
+from droptrack.tracking.association import assign_in_order
+from droptrack.tracking.droplet.flow import Flow
 from droptrack.tracking.droplet.matching import CANDIDATES
 from droptrack.tracking.droplet.noise import Noise
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import MIN_DEVIATION
+from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracks import Tracks
 from droptrack.tracking.nearest import nearest
+from droptrack.tracking.tracker import Resumption
 
 GATE = 11.8  # chi-square of two degrees of freedom, 99.7 %
 Pair = tuple[int, int]  # of a new track and a lost one: rows, or identities
 
 
+class Merged(NamedTuple):
+    """The identities of each pair as they were, and the long gaps between them."""
+
+    pairs: tuple[Pair, ...] = ()
+    resumed: tuple[Resumption, ...] = ()
+
+
 def merge(
-    tracks: Tracks, ready: Bools, noise: Noise, passages: Passages, p: DropletParameters
-) -> tuple[Tracks, Passages, tuple[Pair, ...]]:
+    tracks: Tracks,
+    ready: Bools,
+    noise: Noise,
+    passages: Passages,
+    flow: Flow,
+    p: DropletParameters,
+) -> tuple[Tracks, Passages, Merged]:
     """Give new tracks the identities of the lost ones that they continue.
 
-    `ready` (N,): new tracks that are to be confirmed. Also gives the identities of each pair as
-    they were, the new one's and the lost one's.
+    `ready` (N,): new tracks that are to be confirmed.
     """
     lost = tracks.confirmed & (tracks.missed > 0)
     if not p.both_ways or not lost.any():
-        return tracks, passages, ()
+        return tracks, passages, Merged()
     duplicates = ~tracks.confirmed & (tracks.missed == 0) & (tracks.duplicate_of > 0)
     ready = ready & (tracks.duplicate_of == 0)
     pairs: list[Pair] = []
     if duplicates.any():
         pairs = _duplicates_left(tracks, np.flatnonzero(duplicates), np.flatnonzero(lost))
         lost[[old for _, old in pairs]] = False
-    pairs += _meeting(tracks, np.flatnonzero(ready), np.flatnonzero(lost), noise, passages, p)
+    met, odds = _meeting(tracks, np.flatnonzero(ready), np.flatnonzero(lost), noise, passages, p)
+    log_odds = np.concatenate([np.full(len(pairs), np.nan), odds])
+    pairs += met
     if not pairs:
-        return tracks, passages, ()
+        return tracks, passages, Merged()
     new, old = np.array(pairs).T
     gaps = tracks.unseen[old] - tracks.images[new] + 1
     passages = passages.resuming(tracks.last_position[old], np.maximum(gaps, 1))
-    merged = tuple(zip(tracks.ids[new].tolist(), tracks.ids[old].tolist(), strict=True))
+    frames = tracks.missed[old] - tracks.frames[new]
+    merged = Merged(
+        pairs=tuple(zip(tracks.ids[new].tolist(), tracks.ids[old].tolist(), strict=True)),
+        resumed=resumptions(tracks, old, tracks.first_position[new], frames, log_odds, flow),
+    )
     ids, confirmed = tracks.ids.copy(), tracks.confirmed.copy()
     hits, duplicate_of = tracks.hits.copy(), tracks.duplicate_of.copy()
     ids[new] = ids[old]
@@ -64,15 +86,15 @@ def _duplicates_left(tracks: Tracks, duplicates: Rows, lost: Rows) -> list[Pair]
 
 def _meeting(
     tracks: Tracks, ready: Rows, lost: Rows, noise: Noise, passages: Passages, p: DropletParameters
-) -> list[Pair]:
-    """Pairs of new and lost tracks that meet, seen from both ends of the gap.
+) -> tuple[list[Pair], Floats]:
+    """Pairs of new and lost tracks that meet, seen from both ends of the gap, and their log odds.
 
     With constant acceleration, a droplet goes its gap at the mean of the velocities at both
     ends; white acceleration leaves a variance of gap³ / 12, a fourth of that seen from one.
     A pair is weighed against the alternative that one droplet has left and another has entered.
     """
     if not len(ready) or not len(lost):
-        return []
+        return [], np.zeros(0)
     k = min(CANDIDATES, len(lost))
     state = tracks.state
     _, near = nearest(cKDTree(state.position[lost]), state.position[ready], k)
@@ -98,8 +120,10 @@ def _meeting(
     cost += 2 * passages.log_density_of_entering(tracks.first_position[new], d)
     cost -= 2 * passages.log_probability_of_gap(unseen)
     good = (square < GATE) & (cost < 0)
-    rows, columns = assign_sparse(new[good], old[good], cost[good], 0.0)
-    return list(zip(rows.tolist(), columns.tolist(), strict=True))
+    new, old, cost = new[good], old[good], cost[good]
+    chosen = assign_in_order(new, old, cost, 0.0)
+    pairs = list(zip(new[chosen].tolist(), old[chosen].tolist(), strict=True))
+    return pairs, -cost[chosen] / 2
 
 
 def _cost_of_sizes(

@@ -23,21 +23,26 @@ FIRST_DEVIATION = 0.04  # diameters, of a new track's place
 
 
 def predict(
-    tracks: Tracks, boxes: Floats, noise: Noise, flow: Flow, p: DropletParameters
+    tracks: Tracks,
+    boxes: Floats,
+    noise: Noise,
+    flow: Flow,
+    p: DropletParameters,
+    *,
+    image: bool = True,
 ) -> Tracks:
     """All tracks one frame on; they count as missed until they are corrected.
 
-    New and lost tracks go with the flow, of which the frame's boxes (M, 4) may tell. A frame
-    without any box is one without an image: time passes, but nothing is unseen.
+    New and lost tracks go with the flow, of which the frame's boxes (M, 4) may tell. In a frame
+    without an image, time passes, but nothing is unseen.
     """
     state = _with_flow(tracks, boxes, flow, p) if p.flow else tracks.state
-    image = int(len(boxes) > 0)
     return tracks.replaced(
         state=motion_filter.predict(state, noise.acceleration * tracks.diameters),
         missed=tracks.missed + 1,
-        unseen=tracks.unseen + image,
+        unseen=tracks.unseen + int(image),
         frames=tracks.frames + 1,
-        images=tracks.images + image,
+        images=tracks.images + int(image),
     )
 
 
@@ -95,7 +100,7 @@ def _with_remembered_flow(
     """
     position, diameters = tracks.last_position[new], tracks.diameters[new]
     mean, variance = velocity_of_neighbours(position, diameters, flow.positions, flow.velocities)
-    variance = variance + (NEIGHBOURS_DEVIATION * diameters) ** 2
+    variance = variance + (flow.deviation * diameters) ** 2
     step = None if p.expect_velocity is None else np.array(p.expect_velocity, float)
     if step is None and (common := flow.common_step(float(np.median(diameters)))) is not None:
         step = common.velocity

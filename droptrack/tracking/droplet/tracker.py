@@ -4,11 +4,14 @@ Each stage is a function in a module of its own. It takes what it needs, tracks 
 new tracks; it writes into nothing that it takes.
 """
 
+from dataclasses import replace
 from math import log
 
 import numpy as np
 
 from droptrack.data.arrays import Floats, Rows
+from droptrack.tracking.droplet.beginning import MAX_FRAMES as MAX_BEGINNING
+from droptrack.tracking.droplet.beginning import FrameInput, other_velocity
 from droptrack.tracking.droplet.confirmation import (
     MAX_FRAMES_OF_NEW,
     confirm,
@@ -20,15 +23,18 @@ from droptrack.tracking.droplet.confirmation import (
 )
 from droptrack.tracking.droplet.correction import correct
 from droptrack.tracking.droplet.duplicates import find_duplicates
-from droptrack.tracking.droplet.flow import Flow
+from droptrack.tracking.droplet.flow import Flow, WeighedVelocities
 from droptrack.tracking.droplet.matching import Matches, match
 from droptrack.tracking.droplet.merging import merge
 from droptrack.tracking.droplet.noise import FalseBoxes, Noise, median
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import predict
+from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracks import Observations, Tracks, observe, start_tracks
-from droptrack.tracking.tracker import Update, check_descriptors
+from droptrack.tracking.tracker import LONG_GAP, Resumption, Update, Velocity, check_descriptors
+
+FRAMES_TO_WEIGH = 60  # after which is asked again whether another velocity explains the images
 
 
 class DropletTracker:
@@ -45,15 +51,22 @@ class DropletTracker:
     """
 
     def __init__(self, parameters: DropletParameters) -> None:
-        p = self.parameters = parameters
+        self.parameters = parameters
+        self._beginning: list[FrameInput] | None = []  # the first frames
+        self._begin(0)
+
+    def _begin(self, n_frames: int) -> None:
+        """Know nothing, before the first box comes after so many frames."""
+        p = self.parameters
         self.noise = Noise(centre=p.noise, acceleration=p.acceleration, size=p.size_noise)
         none = observe(np.zeros((0, 4)), np.zeros((0, 0)))
         self.false_boxes = FalseBoxes()
         self.tracks = start_tracks(none, np.zeros(0, np.int64), 1, self.noise, p.unknown_step)
         self._next_id = 1
-        self._n_frames = 0
+        self._n_frames = n_frames
         self.flow = Flow()
         self.passages = Passages()
+        self._weighed = WeighedVelocities()
 
     @property
     def max_age(self) -> int:
@@ -67,40 +80,72 @@ class DropletTracker:
 
     @property
     def delay(self) -> int:
-        """Frames after which a new track is confirmed, merged or terminated."""
-        return MAX_FRAMES_OF_NEW
+        """Frames after which a new track is confirmed, merged or terminated, and the first ones."""
+        return max(MAX_FRAMES_OF_NEW, MAX_BEGINNING)
+
+    @property
+    def possible_velocities(self) -> tuple[Velocity, ...]:
+        """Two that explain the images alike: see `Flow.common_step`; none if one does.
+
+        Then only `DropletParameters.expect_velocity` can tell which is right.
+        """
+        weighed = self._weighed
+        if len(self.tracks) and self.parameters.expect_velocity is None:
+            weighed = weighed.of(self.flow, median(self.tracks.diameters))
+        return weighed.possible
 
     @property
     def velocity_is_ambiguous(self) -> bool:
-        """Whether a second velocity explains the last images as well: see `Flow.common_step`.
+        """Whether there are `possible_velocities`."""
+        return bool(self.possible_velocities)
 
-        `DropletParameters.expect_velocity` then tells which is right.
+    def update(self, boxes: Floats, descriptors: Floats, *, image: bool | None = None) -> Update:
+        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D).
+
+        `image`: whether there is one in which droplets can be missed; if nobody knows, it is there
+        if any box is.
         """
-        if not len(self.tracks) or self.parameters.expect_velocity is not None:
-            return False
-        common = self.flow.common_step(median(self.tracks.diameters))
-        return common is not None and common.ambiguous
-
-    def update(self, boxes: Floats, descriptors: Floats) -> Update:
-        """Go one frame on with its boxes (M, 4) and their unit descriptors (M, D)."""
         check_descriptors(boxes, descriptors)
-        p, noise = self.parameters, self.noise
+        frame = FrameInput(boxes, descriptors, len(boxes) > 0 if image is None else image)
+        again = self._again(boxes)
+        update = self._update(frame, self.parameters)
+        if self._beginning is not None and (len(boxes) or self._beginning):
+            over = not self.flow.images or len(self._beginning) == MAX_BEGINNING
+            self._beginning = None if over else [*self._beginning, frame]
+        return replace(update, again=again) if again else update
+
+    def _again(self, boxes: Floats) -> tuple[Update, ...]:
+        """Track the first frames again if with this one they tell another velocity."""
+        p, frames = self.parameters, self._beginning
+        if not frames or p.expect_velocity is not None or not p.flow:
+            return ()
+        velocity = other_velocity(self.tracks, self.flow.seeing(self._n_frames, boxes[:, :2]))
+        if velocity is None:
+            return ()
+        self._begin(self._n_frames - len(frames))
+        return tuple(self._update(frame, replace(p, expect_velocity=velocity)) for frame in frames)
+
+    def _update(self, frame: FrameInput, p: DropletParameters) -> Update:
+        boxes, descriptors, image = frame
+        noise = self.noise
         found = observe(boxes, descriptors if p.appearance else np.zeros((len(boxes), 0)))
         flow = self.flow.seeing(self._n_frames, boxes[:, :2])
         self._n_frames += 1
-        tracks = predict(self.tracks, boxes, noise, flow, p)
+        tracks = predict(self.tracks, boxes, noise, flow, p, image=image)
         others = self._evidence_of_others(tracks, flow)
         matches = match(tracks, found, noise, self.false_boxes, others, p)
         duplicate_of = find_duplicates(tracks, boxes, matches, p)
         passages = _resumed(self.passages, tracks, matches)
+        resumed = _after_gaps(tracks, found, matches, flow)
+        flow = flow.surprised(_first_steps(tracks, found, matches))
         tracks, noise = correct(tracks, found, matches, noise, p)
         tracks, track_ids = self._start(tracks, found, matches, duplicate_of, noise)
         support = support_of(tracks, flow, passages, noise, self.false_boxes)
         ready = confirmable(tracks, support, p)
         if flow.images:
             ready |= leaving(tracks, support, flow)
-        tracks, passages, merged = merge(tracks, ready, noise, passages, p)
-        if merged:
+        tracks, passages, merged = merge(tracks, ready, noise, passages, flow, p)
+        if merged.pairs:
             support = support_of(tracks, flow, passages, noise, self.false_boxes)
         tracks, confirmed = confirm(tracks, support, p)
         tracks, left = confirm_leaving(tracks, support, flow)
@@ -113,14 +158,17 @@ class DropletTracker:
             ended = np.flatnonzero(np.isin(before.ids, terminated) & before.confirmed)
             passages = passages.leaving(before[ended])
         self.passages = passages
+        if flow.images and self._n_frames % FRAMES_TO_WEIGH == 0 and len(tracks):
+            self._weighed = self._weighed.of(flow, median(tracks.diameters))
         self.tracks, self.noise, self.flow = tracks, noise, flow.learned(tracks)
-        for new, old in merged:
+        for new, old in merged.pairs:
             track_ids[track_ids == new] = old
         return Update(
             track_ids=track_ids,
             confirmed=(*confirmed, *left),
             terminated=terminated,
-            merged=merged,
+            merged=merged.pairs,
+            resumed=(*resumed, *merged.resumed),
         )
 
     def _evidence_of_others(self, tracks: Tracks, flow: Flow) -> float:
@@ -149,6 +197,34 @@ class DropletTracker:
         track_ids[matches.free] = new.ids
         self._next_id += len(new)
         return tracks.followed_by(new), track_ids
+
+
+def _first_steps(tracks: Tracks, found: Observations, matches: Matches) -> Floats:
+    """How far off the first steps (K, 2) of new tracks were, diameters a frame.
+
+    Of those of which something was known: others were expected at rest.
+    """
+    told = tracks.state.velocity[matches.rows].any(axis=1)
+    new = np.flatnonzero(told & (tracks.hits[matches.rows] == 1))
+    if not len(new):
+        return np.zeros((0, 2))
+    rows, columns = matches.rows[new], matches.columns[new]
+    off = found.boxes[columns, :2] - tracks.state.position[rows]
+    return np.asarray(off / (tracks.missed[rows] * tracks.diameters[rows])[:, None])
+
+
+def _after_gaps(
+    tracks: Tracks, found: Observations, matches: Matches, flow: Flow
+) -> tuple[Resumption, ...]:
+    """Confirmed tracks that one detection finds again after a long gap."""
+    frames = tracks.missed[matches.rows] - 1
+    late = np.flatnonzero((frames > LONG_GAP) & tracks.confirmed[matches.rows])
+    if not len(late):
+        return ()
+    ends = found.boxes[matches.columns[late], :2]
+    return resumptions(
+        tracks, matches.rows[late], ends, frames[late], matches.evidence[late] / 2, flow
+    )
 
 
 def _resumed(passages: Passages, tracks: Tracks, matches: Matches) -> Passages:

@@ -6,7 +6,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 SEED ?= 0
 SPOILT ?= 0
 DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
-ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 960x480"
+ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
 .PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench soak check test docs
 
@@ -60,7 +60,7 @@ train-droplets: dev
 
 # what int8 needs, again after every training
 calibrate: dev
-	$(BIN)/python -m data_gen.make_dataset --scene everything --images 200 --valid 300 --seed 7 \
+	$(BIN)/python -m data_gen.make_dataset --scene all --images 200 --valid 300 --seed 7 \
 		--out datasets/calibration
 	$(BIN)/python -m droptrack.calibrate --data datasets/calibration/obj.data \
 		--images 200 --checked 300 $(ARGS)

@@ -18,6 +18,7 @@ from droptrack.options import (
     DiameterOption,
     LevelsOption,
     MaxIouOption,
+    OverwriteOption,
     PrecisionOption,
     RegionOption,
     ScaleOption,
@@ -53,6 +54,7 @@ def main(
     levels: LevelsOption = None,
     channel: ChannelOption = None,
     shape: ShapeOption = True,
+    overwrite: OverwriteOption = False,
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Write no annotated images.")
     ] = False,
@@ -75,6 +77,7 @@ def main(
         reading=ReadOptions(levels=levels, channel=channel),
         shape=shape,
         annotated=not no_images,
+        overwrite=overwrite,
     )
     done = detect_images(config, functools.partial(typer.echo, err=True))
     done.report.print()

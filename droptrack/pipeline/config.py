@@ -79,13 +79,15 @@ class ImagesConfig(DetectorConfig):
 
     `sources`: images, folders of images, and videos, and how they are read. `out`: the folder for
     the results.
-    `annotated`: write the images with the boxes, too.
+    `annotated`: write the images with the boxes, too. `overwrite`: the results of an earlier run
+    on the same sources.
     """
 
     sources: tuple[str, ...]
     out: Path
     reading: ReadOptions = field(default_factory=ReadOptions)
     annotated: bool = True
+    overwrite: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

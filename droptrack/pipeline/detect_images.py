@@ -2,6 +2,7 @@
 
 import csv
 import functools
+import json
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -30,6 +31,7 @@ from droptrack.pipeline.config import ImagesConfig
 from droptrack.pipeline.drawing import draw_boxes
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
+from droptrack.pipeline.results_folder import has_content, whole_name
 from droptrack.progress import progress_bar
 from droptrack.version import __version__
 
@@ -73,6 +75,7 @@ def detect_images(
     detectors: dict[tuple[int, int], OpenedDetector] = {}
     images = read_images(config.sources, config.reading)
     first = next(images)  # what cannot be opened is refused before anything is written
+    _refuse_other_results(config)
     config.out.mkdir(parents=True, exist_ok=True)
     with (
         replacing(config.out / "detections.csv") as partial,
@@ -98,6 +101,31 @@ def detect_images(
     else:
         say("no whole droplets found; --scale, --diameter or --score may help")
     return ImagesRun(config.out, report)
+
+
+def _refuse_other_results(config: ImagesConfig) -> None:
+    """Raise DroptrackError where the folder has results that would be lost."""
+    if not has_content(config.out / "detections.csv"):
+        return
+    try:
+        before = json.loads((config.out / "report.json").read_text(encoding="utf-8"))
+        sources = before["settings"]["sources"]
+    except (OSError, ValueError, KeyError, TypeError):
+        sources = None
+    if sources != _sources(config):
+        raise DroptrackError(
+            f"{config.out}: would be overwritten; it has results of other images; choose another "
+            "--out"
+        )
+    if not config.overwrite:
+        raise DroptrackError(
+            f"{config.out}: has results of these images already; --overwrite replaces them, --out "
+            "puts the new ones elsewhere"
+        )
+
+
+def _sources(config: ImagesConfig) -> list[str]:
+    return [whole_name(source) for source in config.sources]
 
 
 class _Results:
@@ -230,6 +258,7 @@ def _settings(
     opened = next(iter(detectors.values()))
     return {
         "made by": f"droptrack {__version__}, droptrack.detect",
+        "sources": _sources(config),
         "network": f"{opened.cfg.path}, {opened.weights}",
         "weights sha256": sha256_of(opened.weights),
         "backend": opened.detector.engine.name,

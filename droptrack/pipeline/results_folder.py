@@ -42,7 +42,7 @@ def prepare_folder(folder: Path, source: str, *, overwrite: bool, resume: bool =
     where that is wanted, and those of a run that was ended resumed; those of another one never.
     """
     resumable = resume and (folder / DETECTION_LOG).exists()  # which says what it is of
-    if not resumable and any(_has_content(folder / name) for name in RESULTS):
+    if not resumable and any(has_content(folder / name) for name in RESULTS):
         before = _made_from(folder / RESULTS[0])
         if not before.startswith(f"{whole_name(source)}, "):
             of = f" of {before}" if before else ""
@@ -60,7 +60,8 @@ def prepare_folder(folder: Path, source: str, *, overwrite: bool, resume: bool =
     folder.mkdir(parents=True, exist_ok=True)
 
 
-def _has_content(path: Path) -> bool:
+def has_content(path: Path) -> bool:
+    """Whether a file is there and not empty."""
     return path.is_file() and path.stat().st_size > 0
 
 

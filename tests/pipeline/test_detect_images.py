@@ -112,3 +112,16 @@ def test_droplets_beside_the_region_do_not_count(tmp_path: Path) -> None:
     code, said = detect(str(path), "--out", str(out), "--region", "900,0 950,0 950,40")
     assert code == 1
     assert "no pixel of the 500 x 400 px frames is in it" in said
+
+
+def test_results_are_overwritten_only_where_they_are_of_the_same_images(tmp_path: Path) -> None:
+    one, two, out = tmp_path / "one.png", tmp_path / "two.png", tmp_path / "out"
+    image_of(one, [(100.25, 120, 30)], (300, 300))
+    image_of(two, [(90, 100, 30), (200, 200, 30)], (300, 300))
+    assert detect(str(one), "--out", str(out))[0] == 0
+    code, said = detect(str(one), "--out", str(out))
+    assert (code, "--overwrite replaces them" in said) == (1, True)
+    assert detect(str(one), "--out", str(out), "--overwrite", "--score", "0.5")[0] == 0
+    code, said = detect(str(two), "--out", str(out), "--overwrite")
+    assert (code, "results of other images" in said) == (1, True)
+    assert len(rows_of(out)) == 1

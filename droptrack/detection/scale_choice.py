@@ -17,16 +17,18 @@ import cv2
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats, Rows
-from droptrack.data.detections import iou_matrix
+from droptrack.data.detections import Detections, iou_matrix
 from droptrack.data.frames import Frame, grey_frame, grey_plane
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.detector import Detector
+from droptrack.detection.suppression import suppress_duplicates
 
 TILE = 480  # px, the sides of the input
 STEP = math.sqrt(2)  # from one scale to the next
 STEPS = range(-7, 6)  # tried, from the default scale on
 MIN_SIDE_PX = 96  # of an input
 MAX_AREA_PX = 9e6  # of an input
+MARGIN_PX = 2.0  # of the input, between a whole droplet and a tile's edge
 MAX_TILES = 6  # looked at in a frame, at each scale
 KNOWN_PX = (12.0, 200.0)  # sizes of droplets in the input
 MIN_SCORE = 0.1  # of a detection that counts at all
@@ -87,7 +89,7 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         real = evidence > DOUBT
         diameters.append(np.sqrt(droplets[real, 2:].prod(axis=1)))
         for k, (scale, look) in enumerate(looks.items()):
-            counted = look.covers(droplets, (width, height), 2 / scale)
+            counted = look.covers(droplets, (width, height), MARGIN_PX / scale)
             worth = evidence - DOUBT
             seen = counted & (scores[k] >= SURE)
             gained[scale] = gained.get(scale, 0.0) + float(worth[seen].sum())
@@ -129,14 +131,16 @@ def _look(frame: Frame, detector: Detector, default: float) -> dict[float, _Look
         resized = np.asarray(cv2.resize(image, size), np.uint8)
         tiles = _tiles(size, found * scale)
         running = [detector.start([_cut(resized, tile)], StageTimes()) for tile in tiles]
-        parts = [wait()[0] for wait in running]
-        boxes = [
-            np.column_stack([part.boxes[:, :2] + tile[:2], part.boxes[:, 2:]])
-            for part, tile in zip(parts, tiles, strict=True)
-        ]
+        parts = [_whole(wait()[0], tile, size) for wait, tile in zip(running, tiles, strict=True)]
+        together = Detections(
+            np.concatenate([part.boxes for part in parts]),
+            np.concatenate([part.scores for part in parts]),
+            np.concatenate([part.class_ids for part in parts]),
+        )
+        seen = suppress_duplicates(together, detector.max_iou, greedy=True)  # tiles overlap
         looks[scale] = _Look(
-            boxes=np.concatenate(boxes) / scale,
-            scores=np.concatenate([part.scores for part in parts]),
+            boxes=seen.boxes / scale,
+            scores=seen.scores,
             tiles=np.minimum(tiles / scale, [width, height, width, height]),
         )
         found = np.concatenate([found, looks[scale].boxes[looks[scale].scores >= SURE, :2]])
@@ -173,11 +177,25 @@ def _cut(image: Frame, tile: Floats) -> Frame:
     return grey_frame(whole) if whole.ndim == 2 else whole
 
 
+def _whole(found: Detections, tile: Floats, size: tuple[int, int]) -> Detections:
+    """What a tile of an input of a size shows whole: no edge of the tile cuts it; px of the input.
+
+    The input's own edges may.
+    """
+    boxes = np.column_stack([found.boxes[:, :2] + tile[:2], found.boxes[:, 2:]])
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+    inside = (low >= np.where(tile[:2] > 0, tile[:2] + MARGIN_PX, -np.inf)) & (
+        high <= np.where(tile[2:] < size, tile[2:] - MARGIN_PX, np.inf)
+    )
+    keep = np.asarray(inside.all(axis=1), bool)
+    return Detections(boxes[keep], found.scores[keep], found.class_ids[keep])
+
+
 def _merged(looks: dict[float, _Look], size: tuple[int, int]) -> tuple[Floats, Floats]:
     """What may be droplets, seen at one or more scales: boxes (N, 4), scores (scales, N) or 0."""
     boxes, scores = np.zeros((0, 4)), np.zeros((len(looks), 0))
     for k, (scale, look) in enumerate(looks.items()):
-        whole = look.covers(look.boxes, size, 2 / scale)
+        whole = look.covers(look.boxes, size, MARGIN_PX / scale)
         mine, certain = look.boxes[whole], look.scores[whole]
         old, new = _pairs(boxes, mine)
         scores[k, old] = certain[new]
@@ -211,7 +229,7 @@ def _evidence(
         [
             (sides * scale >= KNOWN_PX[0])
             & (sides * scale <= KNOWN_PX[1])
-            & look.covers(boxes, size, 2 / scale)
+            & look.covers(boxes, size, MARGIN_PX / scale)
             for scale, look in looks.items()
         ]
     )

@@ -7,7 +7,7 @@ network, at several fixed scales, it tries what a user would pick instead, each 
 settings for the set.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +17,17 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.classical import finders
+from bench.real_sequence import SEQUENCES, score_sequence
 from droptrack.data.arrays import Bools, Floats, Pixels
 from droptrack.data.darknet_dataset import read_ground_truth
 from droptrack.data.detections import Detections, iou_matrix
 from droptrack.data.frames import grey_frame
+from droptrack.data.samples import N_SAMPLES, spread
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, Precision, choose_detector
 from droptrack.detection.scale import Canvas
+from droptrack.detection.scale_choice import MIN_SCORE as TILE_SCORE
+from droptrack.detection.scale_choice import TILE, choose_scale
 from droptrack.network.bundled import find_network
 from droptrack.network.darknet_cfg import resized
 
@@ -217,9 +221,39 @@ class ScaledFinder:
         return canvas.within(found)
 
 
+class AutoFinder:
+    """droptrack's network at the scale that some of the images of each size suggest."""
+
+    def __init__(self, images: Sequence[Pixels], weights: Path | None = None) -> None:
+        cfg, path = find_network(weights)
+        tile = resized(cfg, TILE, TILE)
+        detector = choose_detector(Network(tile, path, threshold=TILE_SCORE, max_iou=MAX_IOU))
+        self._finders: dict[tuple[int, int], ScaledFinder] = {}
+        for height, width in dict.fromkeys(image.shape for image in images):
+            alike = [image for image in images if image.shape == (height, width)]
+            samples = [grey_frame(alike[number]) for number in spread(len(alike), N_SAMPLES)]
+            own = Canvas.like(width, height, (cfg.width, cfg.height))
+            choice = choose_scale(samples, detector, own.scale)
+            self._finders[height, width] = ScaledFinder(choice.scale, weights)
+
+    @property
+    def scales(self) -> list[float]:
+        """The scales chosen, each once."""
+        return sorted({finder.scale for finder in self._finders.values()})
+
+    def __call__(self, image: Pixels) -> Detections:
+        """Droplets of a grey image (H, W) of one of the sizes."""
+        height, width = image.shape
+        return self._finders[height, width](image)
+
+
 def rows_of(folder: Path, name: str, weights: Path | None) -> Iterator[tuple[str, Scores]]:
     """Each method's scores on a set: the network at every scale, then the best of the others."""
     images = read_set(folder / name)
+    automatic = AutoFinder([one.image for one in images], weights)
+    scores = score_set(images, SETS[name], automatic)
+    chosen = ", ".join(f"{scale:.2f}" for scale in automatic.scales)
+    yield f"droptrack, scale auto ({chosen})", scores
     for scale in SCALES:
         largest = max(max(one.image.shape) for one in images)
         if scale * largest <= 2200:
@@ -248,3 +282,8 @@ def run(folder: Path, weights: Path | None, sets: Iterable[str]) -> None:
             values = (scores.ap50, scores.recall, scores.precision)
             table.add_row(method, *("" if np.isnan(v) else f"{v:.3f}" for v in values))
         console.print(table)
+    for name in SEQUENCES:
+        if (folder / name).is_dir():
+            counts = score_sequence(folder / name, weights)
+            text = ", ".join(f"{key.removeprefix('n_')} {value:g}" for key, value in counts.items())
+            console.print(f"{name}, tracked: {text}")

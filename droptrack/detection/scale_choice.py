@@ -1,6 +1,6 @@
 """The scale that suits a video, chosen from some of its frames.
 
-A network finds droplets of some 10 to 200 px of its input, and says nothing, or something else at
+A network finds droplets of some 10 to 150 px of its input, and says nothing, or something else at
 each scale, of others. So a droplet is what the network sees again at other scales: its evidence is
 the mean of its scores at all scales that show it in a size the network knows. The best scale is the
 one whose detections have the most evidence.
@@ -30,7 +30,7 @@ MIN_SIDE_PX = 96  # of an input
 MAX_AREA_PX = 9e6  # of an input
 MARGIN_PX = 2.0  # of the input, between a whole droplet and a tile's edge
 MAX_TILES = 6  # looked at in a frame, at each scale
-KNOWN_PX = (12.0, 200.0)  # sizes of droplets in the input
+KNOWN_PX = (12.0, 120.0)  # sizes of droplets in the input
 MIN_SCORE = 0.1  # of a detection that counts at all
 SURE = 0.4  # of one that a user would get
 SAME_IOU = 0.5  # of two boxes of one droplet

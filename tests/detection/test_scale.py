@@ -64,6 +64,7 @@ def test_discs_of_a_square_image_are_found_as_discs() -> None:
 def test_the_scale_or_a_droplets_diameter_can_be_given(sine: Path, tmp_path: Path) -> None:
     def track(*options: str) -> "tuple[int, str]":
         arguments = ["track", str(sine / "video.avi"), "--out", str(tmp_path), "--no-video"]
+        arguments += ["--overwrite"]
         result = CliRunner().invoke(app, [*arguments, "--max-frames", "2", *options])
         return result.exit_code, result.output
 

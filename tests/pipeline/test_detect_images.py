@@ -109,7 +109,8 @@ def test_droplets_beside_the_region_do_not_count(tmp_path: Path) -> None:
     assert code == 0, said
     (row,) = rows_of(out)
     assert float(row["x"]) == pytest.approx(100.25, abs=0.05)
-    code, said = detect(str(path), "--out", str(out), "--region", "900,0 950,0 950,40")
+    other = str(tmp_path / "other")
+    code, said = detect(str(path), "--out", other, "--region", "900,0 950,0 950,40")
     assert code == 1
     assert "no pixel of the 500 x 400 px frames is in it" in said
 

@@ -30,8 +30,8 @@ ScaleOption = Annotated[
     str | None,
     typer.Option(
         metavar="auto|NUMBER",
-        help="Px of the network's input for a px of the frames; auto, the bundled model's default: "
-        "what suits the droplets of some of the frames.",
+        help="Px of the network's input for a px of the frames; auto: what suits the droplets of "
+        "some of the frames, as far as the network's scores tell.",
     ),
 ]
 DiameterOption = Annotated[

@@ -18,12 +18,12 @@ class DetectorConfig:
     """How to find droplets.
 
     `weights`, `cfg` and `size`: the network, see `network.bundled.find_network`. `scale`: px of the
-    network's input for a px of the frames, or "auto", what some of the frames suggest (the default
-    of the bundled model; that of others is an input as large as the cfg says, of the frames'
-    shape); or `diameter_px`, the diameter of a typical droplet in the frames, from which the scale
-    follows. `score`: the minimum score of a droplet. `max_iou`: the IoU above
-    which two boxes are one droplet. `dark`: droplets are darker than their surroundings. `region`:
-    where droplets count, a polygon or an image, see `data.region.Region.read`; None: everywhere.
+    network's input for a px of the frames, or "auto", what some of the frames suggest; or
+    `diameter_px`, the diameter of a typical droplet in the frames, from which the scale follows;
+    without, the input is as large as the cfg says, and has the frames' shape. `score`: the minimum
+    score of a droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets
+    are darker than their surroundings. `region`: where droplets count, a polygon or an image, see
+    `data.region.Region.read`; None: everywhere.
     `shape`: measure the droplets' outlines, for their sizes and shapes.
     """
 

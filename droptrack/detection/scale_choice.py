@@ -38,7 +38,9 @@ DOUBT = 0.35  # evidence below which a detection does harm
 CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
 MIN_INSIDE = 0.8  # share of a box's area
 MIN_SHOWN = 3  # scales that full evidence takes
-TOLERANCE = 0.02  # by which a scale may be worse than the best, and be taken since it is cheaper
+SIZE_POWER = 0.5  # a droplet counts by this power of its diameter: small things are often none
+MIN_SHARE = 0.2  # weight of the evidence at all scales, against that in the tiles of one
+TOLERANCE = 0.03  # between the qualities of scales that are as good
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,8 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     """The best scale for frames (H, W, 3) of one size; the default where nothing is seen.
 
     `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. The
-    default is also taken where it is as good as the best, within TOLERANCE.
+    default is also taken where it is as good as the best, within TOLERANCE; else, of those that
+    are, the one in the middle.
     """
     gained: dict[float, float] = {}
     possible: dict[float, float] = {}
@@ -90,18 +93,21 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         diameters.append(np.sqrt(droplets[real, 2:].prod(axis=1)))
         for k, (scale, look) in enumerate(looks.items()):
             counted = look.covers(droplets, (width, height), MARGIN_PX / scale)
-            worth = evidence - DOUBT
+            worth = (evidence - DOUBT) * np.sqrt(droplets[:, 2:].prod(axis=1)) ** SIZE_POWER
             seen = counted & (scores[k] >= SURE)
             gained[scale] = gained.get(scale, 0.0) + float(worth[seen].sum())
             possible[scale] = possible.get(scale, 0.0) + float(worth[counted & real].sum())
-    quality = {s: gained[s] / possible[s] if possible[s] > 0 else 0.0 for s in gained}
-    best = max(quality.values(), default=0.0)
-    if best <= 0:
-        return ScaleChoice(default, quality)
-    scale = min(
-        (s for s in quality if quality[s] >= best - TOLERANCE),
-        key=lambda s: (abs(math.log(s / default)) > 1e-6, s),
-    )
+    most = max(possible.values(), default=0.0)
+    if most <= 0:
+        return ScaleChoice(default, dict.fromkeys(gained, 0.0))
+    quality = {
+        scale: gained[scale] / ((1 - MIN_SHARE) * possible[scale] + MIN_SHARE * most)
+        for scale in gained
+    }
+    best = max(quality.values())
+    good = [scale for scale in quality if quality[scale] >= best - TOLERANCE]
+    own = [scale for scale in good if math.isclose(scale, default)]
+    scale = own[0] if own else good[(len(good) - 1) // 2]
     return ScaleChoice(scale, quality, np.concatenate(diameters))
 
 

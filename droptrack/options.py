@@ -55,6 +55,14 @@ ShapeOption = Annotated[
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]
+NormaliseOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--normalise/--as-it-is",
+        help="Show the network grey frames, of the best channel, faint ones stretched; default: "
+        "the bundled model.",
+    ),
+]
 LevelsOption = Annotated[
     tuple[float, float] | None,
     typer.Option(

@@ -27,12 +27,6 @@ def grey_planes(frames: Sequence[Frame]) -> list[NDArray[np.uint8]] | None:
     return planes if len(planes) == len(frames) else None
 
 
-def negative(frame: Frame) -> Frame:
-    """A frame with dark and bright exchanged."""
-    plane = grey_plane(frame)
-    return 255 - frame if plane is None else grey_frame(255 - plane)
-
-
 def as_frame(image: NDArray[Any], levels: Levels | None = None) -> Frame:
     """Any decoded image (H, W) or (H, W, C) as a frame: grey becomes BGR, alpha lies on black.
 

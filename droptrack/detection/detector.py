@@ -8,10 +8,11 @@ import cv2
 
 from droptrack.data.arrays import Float32s
 from droptrack.data.detections import Detections
-from droptrack.data.frames import Frame, negative
+from droptrack.data.frames import Frame
 from droptrack.data.region import Region
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.decoding import select
+from droptrack.detection.normalisation import UNCHANGED, Normalisation
 from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 
@@ -55,10 +56,9 @@ class Detector:
     """Finds droplets in frames with an engine.
 
     `threshold`: minimum score of a detection; `max_iou`: IoU above which two detections are one
-    droplet; `dark`: droplets are darker than what is around them, and the network learned bright
-    ones, so that it is shown the negative; `greedy`: as for `suppress_duplicates`;
-    `canvas`: what frames are extended to, so that they need not be stretched; `region`: where
-    droplets count, by their boxes' centres; None: everywhere.
+    droplet; `greedy`: as for `suppress_duplicates`; `normalisation`: how frames are changed for the
+    network; `canvas`: what they are extended to, so that they need not be stretched; `region`:
+    where droplets count, by their boxes' centres; None: everywhere.
     """
 
     def __init__(
@@ -67,13 +67,14 @@ class Detector:
         threshold: float,
         max_iou: float,
         *,
-        dark: bool = False,
         greedy: bool = False,
+        normalisation: Normalisation = UNCHANGED,
         canvas: Canvas | None = None,
         region: Region | None = None,
     ) -> None:
         self.engine, self.threshold, self.max_iou = engine, threshold, max_iou
-        self.dark, self.greedy, self.canvas, self.region = dark, greedy, canvas, region
+        self.greedy, self.normalisation = greedy, normalisation
+        self.canvas, self.region = canvas, region
 
     def detect(self, frames: Sequence[Frame]) -> list[Detections]:
         """The detections of each of some frames (H, W, 3) of one size, in one pass.
@@ -93,8 +94,7 @@ class Detector:
         height, width = frames[0].shape[:2]
         with self._failures():
             with times.measure("preprocess"):
-                shown = [negative(frame) for frame in frames] if self.dark else frames
-                prepared = self.engine.prepare(shown)
+                prepared = self.engine.prepare([self.normalisation.shown(one) for one in frames])
             computing = self.engine.start(prepared)
 
         def finish() -> list[Detections]:

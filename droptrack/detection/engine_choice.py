@@ -14,6 +14,7 @@ from droptrack.data.frames import grey_frame
 from droptrack.data.region import Region
 from droptrack.detection.detector import Detector, Engine, first_line
 from droptrack.detection.engines import opencv_dnn
+from droptrack.detection.normalisation import UNCHANGED, Normalisation
 from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
@@ -64,8 +65,8 @@ class Network:
     _: KW_ONLY
     threshold: float
     max_iou: float
-    dark: bool = False
     greedy: bool = False
+    normalisation: Normalisation = UNCHANGED
     canvas: Canvas | None = None
     region: Region | None = None
 
@@ -79,8 +80,8 @@ class Network:
             engine,
             self.threshold,
             self.max_iou,
-            dark=self.dark,
             greedy=self.greedy,
+            normalisation=self.normalisation,
             canvas=self.canvas,
             region=self.region,
         )

@@ -10,6 +10,7 @@ from droptrack.data.frames import Frame
 from droptrack.data.report import Report, Value
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
+from droptrack.detection.normalisation import Normalisation
 from droptrack.evaluation.average_precision import (
     MAX_IOU,
     MIN_SCORE,
@@ -35,8 +36,18 @@ def darknet_detector(
     precision: Precision = Precision.fp32,
     dark: bool = False,
 ) -> Detector:
-    """A detector whose detections are those Darknet's mAP is computed from; `dark`: `Detector`."""
-    network = Network(cfg, weights, threshold=MIN_SCORE, max_iou=MAX_IOU, dark=dark, greedy=True)
+    """A detector whose detections are those Darknet's mAP is computed from.
+
+    `dark`: the droplets are darker than their background.
+    """
+    network = Network(
+        cfg,
+        weights,
+        threshold=MIN_SCORE,
+        max_iou=MAX_IOU,
+        greedy=True,
+        normalisation=Normalisation(dark=dark),
+    )
     return choose_detector(network, backend, precision)
 
 

@@ -22,8 +22,9 @@ class DetectorConfig:
     `diameter_px`, the diameter of a typical droplet in the frames, from which the scale follows;
     without, the input is as large as the cfg says, and has the frames' shape. `score`: the minimum
     score of a droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets
-    are darker than their surroundings. `region`: where droplets count, a polygon or an image, see
-    `data.region.Region.read`; None: everywhere.
+    are darker than their surroundings. `normalise`: show the network grey frames of full contrast
+    (`detection.normalisation`); None: the bundled model only, which learned them so. `region`:
+    where droplets count, a polygon or an image, see `data.region.Region.read`; None: everywhere.
     `shape`: measure the droplets' outlines, for their sizes and shapes.
     """
 
@@ -37,8 +38,14 @@ class DetectorConfig:
     score: float = MIN_SCORE
     max_iou: float = MAX_IOU
     dark: bool = False
+    normalise: bool | None = None
     region: str | None = None
     shape: bool = True
+
+    @property
+    def normalises(self) -> bool:
+        """Whether the network is shown grey frames of full contrast."""
+        return self.weights is None if self.normalise is None else self.normalise
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,8 +5,8 @@ import functools
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TextIO
@@ -22,6 +22,7 @@ from droptrack.data.frames import Frame
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
 from droptrack.data.video import IMAGE_SUFFIXES, ReadOptions, Video, image_files
+from droptrack.detection.normalisation import normalisation_for
 from droptrack.errors import DroptrackError
 from droptrack.measurement.droplets import Measured, at_edge, measure_droplets
 from droptrack.measurement.shapes import AT_EDGE, DIAMETER
@@ -39,6 +40,9 @@ COLUMNS = (
     *("image", "frame", "x", "y", "w", "h", "score", "class_id", "at_edge"),
     *("box_x", "box_y", "centre_of_mass"),
 )
+
+
+Normalise = Callable[[Frame], tuple[Frame, str]]  # an image -> what is shown of it, and how
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,8 @@ def detect_images(
     """
     began = time.perf_counter()
     detectors: dict[tuple[int, int], OpenedDetector] = {}
+    normalise = _normalised if config.normalises else _as_it_is  # each image by its own contrast
+    of_detector = replace(config, normalise=False)
     images = read_images(config.sources, config.reading)
     first = next(images)  # what cannot be opened is refused before anything is written
     _refuse_other_results(config)
@@ -87,10 +93,11 @@ def detect_images(
         for image in bar.track(chain([first], images), description="detecting"):
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
-                samples = functools.partial(_samples, config, image)
-                detectors[size] = open_detector(config, size, samples, live=False, say=say)
-            (found,) = detectors[size].detector.detect([image.frame])
-            results.add(image, found)
+                samples = functools.partial(_samples, config, image, normalise)
+                detectors[size] = open_detector(of_detector, size, samples, live=False, say=say)
+            seen, how = normalise(image.frame)
+            (found,) = detectors[size].detector.detect([seen])
+            results.add(image, found, how)
     settings = _settings(config, detectors)
     report = results.report(settings, seconds=time.perf_counter() - began)
     report.write_json(config.out / "report.json")
@@ -141,8 +148,8 @@ class _Results:
         if annotated is not None:
             annotated.mkdir(exist_ok=True)
 
-    def add(self, image: Image, found: Detections) -> None:
-        """Take the droplets of the next image."""
+    def add(self, image: Image, found: Detections, seen: str) -> None:
+        """Take the droplets of the next image; `seen`: what the network was shown of it."""
         measured = measure_droplets(image.frame, found.boxes, shape=self._shape)
         if self._shape:
             cut, diameters = measured.shapes[:, AT_EDGE] == 1, measured.shapes[:, DIAMETER]
@@ -158,6 +165,7 @@ class _Results:
                 "frame": image.number,
                 "n_droplets": len(found),
                 "n_at_edge": int(cut.sum()),
+                "network_sees": seen,
                 **_sizes(diameters),
             }
         )
@@ -205,17 +213,27 @@ def _files(sources: tuple[str, ...]) -> Iterator[Path]:
         yield from files
 
 
-def _samples(config: ImagesConfig, like: Image) -> list[Frame]:
+def _normalised(frame: Frame) -> tuple[Frame, str]:
+    """An image as the network is to see it, and how it differs."""
+    normalisation = normalisation_for([frame])
+    return normalisation.shown(frame), str(normalisation)
+
+
+def _as_it_is(frame: Frame) -> tuple[Frame, str]:
+    return frame, ""
+
+
+def _samples(config: ImagesConfig, like: Image, normalise: Normalise) -> list[Frame]:
     """Some frames of an image's video; or some of all images of its size, that one first."""
     video = Video(str(like.source), config.reading)
     if like.source.suffix.lower() not in IMAGE_SUFFIXES or video.info.n_frames > 1:
-        return sample_frames(video, N_SAMPLES)
+        return [normalise(frame)[0] for frame in sample_frames(video, N_SAMPLES)]
     size = like.frame.shape[1::-1]
     files = [file for file in _files(config.sources) if file.suffix.lower() in IMAGE_SUFFIXES]
     alike = [file for file in files if file != like.source and _image_size(file) == size]
     others = [alike[number] for number in spread(len(alike), N_SAMPLES - 1)]
     frames = [like.frame, *(Video(str(file), config.reading).samples()[0] for file in others)]
-    return [frame for frame in frames if frame.shape == like.frame.shape]
+    return [normalise(frame)[0] for frame in frames if frame.shape == like.frame.shape]
 
 
 def _image_size(path: Path) -> tuple[int, int] | None:
@@ -263,7 +281,7 @@ def _settings(
         "weights sha256": sha256_of(opened.weights),
         "backend": opened.detector.engine.name,
         "network_size": [opened.cfg.width, opened.cfg.height],
-        **opened.scale_settings,
+        **opened.settings,
         "score": config.score,
         "max_iou": config.max_iou,
         "dark": config.dark,

@@ -12,6 +12,7 @@ from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_choice
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Network, choose_detector
+from droptrack.detection.normalisation import Normalisation, normalisation_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
@@ -25,14 +26,14 @@ from droptrack.pipeline.notes import Say
 class OpenedDetector:
     """A detector, the network and weights it has, and px of its input for a px of the frames.
 
-    `scale_settings`: the scale and how it was chosen, for the report.
+    `settings`: the scale and how it was chosen, and how frames are changed, for the report.
     """
 
     detector: Detector
     cfg: Cfg
     weights: Path
     scale: float
-    scale_settings: dict[str, Value] = field(default_factory=dict)
+    settings: dict[str, Value] = field(default_factory=dict)
 
 
 def open_detector(
@@ -52,9 +53,18 @@ def open_detector(
     width, height = size
     network, weights = find_network(config.weights, config.cfg, config.size)
     canvas = _given_canvas(config, network, width, height)
+    normalisation = Normalisation(dark=config.dark)
+    frames: Sequence[Frame] = ()
+    if canvas is None or config.normalises:
+        frames = samples()
+    if config.normalises:
+        normalisation = normalisation_for(frames, dark=config.dark)
+    if normalisation.channel or normalisation.levels:
+        say(f"the network sees {normalisation}, of {len(frames)} frames; otherwise: --as-it-is")
     chosen: dict[str, Value] = {}
     if canvas is None:
-        canvas, chosen = _chosen_canvas(config, network, weights, samples(), say)
+        shown = [normalisation.shown(frame) for frame in frames]
+        canvas, chosen = _chosen_canvas(config, network, weights, shown, say)
     network = resized(network, *canvas.network)
     with explained(say):
         decoding.load_loops()
@@ -65,7 +75,7 @@ def open_detector(
             weights,
             threshold=config.score,
             max_iou=config.max_iou,
-            dark=config.dark,
+            normalisation=normalisation,
             canvas=canvas,
             region=None if config.region is None else Region.read(config.region, width, height),
         ),
@@ -79,7 +89,7 @@ def open_detector(
         cfg=network,
         weights=weights,
         scale=canvas.scale,
-        scale_settings={"scale": canvas.scale, **chosen},
+        settings={"scale": canvas.scale, **chosen, "network_sees": str(normalisation)},
     )
 
 
@@ -119,7 +129,7 @@ def _chosen_canvas(
     own = Canvas.like(width, height, (cfg.width, cfg.height))
     tile = resized(cfg, scale_choice.TILE, scale_choice.TILE)
     threshold = scale_choice.MIN_SCORE
-    network = Network(tile, weights, threshold=threshold, max_iou=config.max_iou, dark=config.dark)
+    network = Network(tile, weights, threshold=threshold, max_iou=config.max_iou)
     detector = choose_detector(network, config.backend)
     choice = scale_choice.choose_scale(samples, detector, own.scale)
     settings: dict[str, Value] = {

@@ -36,7 +36,10 @@ from droptrack.tracking.choice import choose_descriptor, make_tracker
 from droptrack.tracking.tracker import Tracker
 from droptrack.version import __version__
 
-OF_DETECTIONS = ("backend", "network_size", "scale", "score", "max_iou", "dark", "grey_levels")
+OF_DETECTIONS = (
+    *("backend", "network_size", "scale", "score", "max_iou", "dark", "network_sees"),
+    "grey_levels",
+)
 MAX_RATE_ERROR = 0.001  # frames a second, of the annotated video, that need not be said
 
 
@@ -173,7 +176,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
     return {
         "backend": opened.network.detector.engine.name,
         "network_size": [opened.network.cfg.width, opened.network.cfg.height],
-        **opened.network.scale_settings,
+        **opened.network.settings,
         "live": opened.live,
         "grey_levels": str(opened.source.levels),
         "score": config.score,

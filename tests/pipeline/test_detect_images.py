@@ -61,6 +61,25 @@ def test_images_of_two_sizes_have_their_droplets(tmp_path: Path) -> None:
         assert drawn.shape[:2] == size
 
 
+def test_faint_and_red_images_are_seen_as_clearly_as_white_ones(tmp_path: Path) -> None:
+    """The same discs three times; the network is shown what it learned, and told so."""
+    discs = [(100.0, 120.0, 30.0), (300.0, 200.0, 40.0)]
+    white = tmp_path / "white.png"
+    image_of(white, discs, (500, 400))
+    plane = cv2.imread(str(white), cv2.IMREAD_GRAYSCALE)
+    faint = np.asarray(60 + plane * 0.1).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "faint.png"), faint)
+    cv2.imwrite(str(tmp_path / "red.png"), np.dstack([plane * 0, plane * 0, plane]))
+    out = tmp_path / "out"
+    code, said = detect(str(tmp_path), "--out", str(out), "--no-shape")
+    assert code == 0, said
+    images = json.loads((out / "report.json").read_text())["droplets"]
+    assert [row["n_droplets"] for row in images] == [2, 2, 2]
+    faint_one, red_one, white_one = (row["network_sees"] for row in images)
+    assert "stretched" in faint_one
+    assert (red_one, white_one) == ("the red channel", "")
+
+
 def test_a_folder_and_a_video_are_many_images(sine: Path, tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -24,7 +24,7 @@ def track(
     cfg: str | Path | None = None,
     size: str | None = None,
     scale: float | str | None = None,
-    diameter_px: float | None = None,
+    diameter_px: float | tuple[float, float] | None = None,
     backend: str = Backend.auto,
     precision: str = Precision.auto,
     score: float = MIN_SCORE,

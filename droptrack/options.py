@@ -35,8 +35,12 @@ ScaleOption = Annotated[
     ),
 ]
 DiameterOption = Annotated[
-    float | None,
-    typer.Option(min=1, help="Diameter of a typical droplet, px of the frames, for the scale."),
+    str | None,
+    typer.Option(
+        metavar="PX|PX-PX",
+        help="Diameter of a typical droplet, px of the frames, for the scale; or the smallest and "
+        "the largest: others do not count, and several scales are used where one is too few.",
+    ),
 ]
 ScoreOption = Annotated[float, typer.Option(min=0, max=1, help="Minimum score of a droplet.")]
 MaxIouOption = Annotated[

@@ -10,7 +10,7 @@ from droptrack.api import track
 from droptrack.command_line import also_call, new_app, one_line_errors, refuse_given, was_given
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
-from droptrack.detection.scale import parse_scale
+from droptrack.detection.scale import parse_diameter, parse_scale
 from droptrack.errors import DroptrackError
 from droptrack.options import (
     BackendOption,
@@ -205,7 +205,7 @@ def main(
             cfg=cfg,
             size=size,
             scale=None if scale is None else parse_scale(scale),
-            diameter_px=diameter,
+            diameter_px=None if diameter is None else parse_diameter(diameter),
             backend=backend,
             precision=precision,
             live=live,

@@ -52,6 +52,20 @@ class Engine(Protocol):
         """Of each frame, the decoded rows (N, 5 + C) that may be droplets, see `decode_head`."""
 
 
+class Finder(Protocol):
+    """What finds droplets in frames: a `Detector`, or several."""
+
+    @property
+    def engine(self) -> Engine:
+        """What runs the network."""
+
+    def detect(self, frames: Sequence[Frame]) -> list[Detections]:
+        """See `Detector.detect`."""
+
+    def start(self, frames: Sequence[Frame], times: StageTimes) -> Callable[[], list[Detections]]:
+        """See `Detector.start`."""
+
+
 class Detector:
     """Finds droplets in frames with an engine.
 

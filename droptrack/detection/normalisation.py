@@ -115,8 +115,9 @@ def _contrast(planes: Sequence[NDArray[np.uint8]]) -> float:
 
 def _range_of_noise(plane: NDArray[np.uint8]) -> float:
     """The range that noise alone makes of an image (H, W): by Immerkaer (1996), with a median."""
-    deviation = np.median(np.abs(cv2.filter2D(plane, cv2.CV_32F, SECOND_DIFFERENCES))) / 0.6745 / 6
-    return NOISE_RANGE * float(deviation) / max(1.0, max(plane.shape) / SIDE_PX)
+    differences = cv2.filter2D(plane, cv2.CV_32F, SECOND_DIFFERENCES)
+    deviation = float(np.median(np.abs(differences))) / 0.6745 / 6
+    return float(NOISE_RANGE * deviation / max(1.0, max(plane.shape) / SIDE_PX))
 
 
 def _range(planes: Sequence[NDArray[np.uint8]]) -> tuple[float, float]:

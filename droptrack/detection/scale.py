@@ -38,6 +38,28 @@ def parse_scale(text: str) -> float | str:
     return scale
 
 
+def parse_diameter(text: str) -> float | tuple[float, float]:
+    """A diameter in px, or the smallest and the largest one; raises DroptrackError for others.
+
+    >>> parse_diameter("40"), parse_diameter("8-200")
+    (40.0, (8.0, 200.0))
+    """
+    try:
+        numbers = [float(part) for part in text.split("-")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 2 or not all(1 <= n < math.inf for n in numbers):
+        raise DroptrackError(
+            f"--diameter {text}: should be px, such as 40, or the smallest and the largest ones, "
+            "such as 8-200"
+        )
+    if len(numbers) == 1:
+        return numbers[0]
+    if numbers[0] >= numbers[1]:
+        raise DroptrackError(f"--diameter {text}: the first should be the smaller one")
+    return numbers[0], numbers[1]
+
+
 @dataclass(frozen=True)
 class Canvas:
     """What a network looks at: frames of width x height px, extended to the right and below.

@@ -12,7 +12,7 @@ from time import perf_counter
 
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
-from droptrack.detection.detector import Detector
+from droptrack.detection.detector import Finder
 from droptrack.interrupts import whole
 from droptrack.measurement.droplets import load_loops, measure_droplets
 from droptrack.measurement.shapes import COLUMNS as SHAPE
@@ -76,7 +76,7 @@ class FrameTracker:
 
 def track_frames(
     frames: Iterable[tuple[int, Frame]],
-    detector: Detector,
+    detector: Finder,
     tracker: Tracker,
     describe: DescriptorExtractor,
     results: Results,

@@ -10,9 +10,10 @@ from droptrack.data.frames import Frame
 from droptrack.data.region import Region
 from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_choice
-from droptrack.detection.detector import Detector
+from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Network, choose_detector
 from droptrack.detection.normalisation import Normalisation, normalisation_for
+from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
@@ -26,10 +27,11 @@ from droptrack.pipeline.notes import Say
 class OpenedDetector:
     """A detector, the network and weights it has, and px of its input for a px of the frames.
 
-    `settings`: the scale and how it was chosen, and how frames are changed, for the report.
+    Of several scales, the network and the scale are those for the smallest droplets. `settings`:
+    the scale and how it was chosen, and how frames are changed, for the report.
     """
 
-    detector: Detector
+    detector: Finder
     cfg: Cfg
     weights: Path
     scale: float
@@ -46,57 +48,67 @@ def open_detector(
 ) -> OpenedDetector:
     """A detector for frames of a size (width, height) px; `live`: for the shortest time a frame.
 
-    `samples`: some of the frames, which are asked for where the scale is to be chosen from them.
-    `say` is told how it was chosen, which engines were not used, and why. Raises DroptrackError
-    for what is not to be had as it is wanted.
+    `samples`: some of the frames, which are asked for where something is to be chosen from them.
+    `say` is told what was chosen, which engines were not used, and why. Raises DroptrackError for
+    what is not to be had as it is wanted.
     """
     width, height = size
-    network, weights = find_network(config.weights, config.cfg, config.size)
-    canvas = _given_canvas(config, network, width, height)
+    cfg, weights = find_network(config.weights, config.cfg, config.size)
+    canvases = _given_canvases(config, cfg, width, height)
+    frames = samples() if config.normalises or not canvases else ()
     normalisation = Normalisation(dark=config.dark)
-    frames: Sequence[Frame] = ()
-    if canvas is None or config.normalises:
-        frames = samples()
     if config.normalises:
         normalisation = normalisation_for(frames, dark=config.dark)
     if normalisation.channel or normalisation.levels:
         say(f"the network sees {normalisation}, of {len(frames)} frames; otherwise: --as-it-is")
     chosen: dict[str, Value] = {}
-    if canvas is None:
+    if not canvases:
         shown = [normalisation.shown(frame) for frame in frames]
-        canvas, chosen = _chosen_canvas(config, network, weights, shown, say)
-    network = resized(network, *canvas.network)
+        canvas, chosen = _chosen_canvas(config, cfg, weights, shown, say)
+        canvases = [(None, canvas)]
     with explained(say):
         decoding.load_loops()
         droplets.load_loops()
-    detector = choose_detector(
-        Network(
-            network,
+    region = None if config.region is None else Region.read(config.region, width, height)
+    levels = []
+    for sizes, canvas in canvases:
+        network = Network(
+            resized(cfg, *canvas.network),
             weights,
             threshold=config.score,
             max_iou=config.max_iou,
             normalisation=normalisation,
             canvas=canvas,
-            region=None if config.region is None else Region.read(config.region, width, height),
-        ),
-        config.backend,
-        config.precision,
-        live=live,
-        say=say,
-    )
+            region=region,
+        )
+        detector = choose_detector(network, config.backend, config.precision, live=live, say=say)
+        levels.append((sizes, detector))
+    first = canvases[0][1]
     return OpenedDetector(
-        detector=detector,
-        cfg=network,
+        detector=_together(levels),
+        cfg=resized(cfg, *first.network),
         weights=weights,
-        scale=canvas.scale,
-        settings={"scale": canvas.scale, **chosen, "network_sees": str(normalisation)},
+        scale=first.scale,
+        settings={
+            "scale": first.scale if len(canvases) == 1 else [f"{c.scale:.3g}" for _, c in canvases],
+            **chosen,
+            "network_sees": str(normalisation),
+        },
     )
 
 
-def _given_canvas(config: DetectorConfig, network: Cfg, width: int, height: int) -> Canvas | None:
-    """How large the network's input is, and what it shows; None: as the frames suggest.
+def _together(levels: Sequence[tuple[Sizes | None, Detector]]) -> Finder:
+    """One detector of all levels; a plain one where sizes do not matter."""
+    sized = [(sizes, detector) for sizes, detector in levels if sizes is not None]
+    return Pyramid(sized) if sized else levels[0][1]
 
-    Raises DroptrackError.
+
+def _given_canvases(
+    config: DetectorConfig, network: Cfg, width: int, height: int
+) -> list[tuple[Sizes | None, Canvas]]:
+    """How large the network's inputs are, and what each shows; none: as the frames suggest.
+
+    With the sizes of the droplets that it is for, where these are given. Raises DroptrackError.
     """
     given = [name for name in ("size", "scale", "diameter_px") if getattr(config, name) is not None]
     if len(given) > 1:
@@ -104,15 +116,22 @@ def _given_canvas(config: DetectorConfig, network: Cfg, width: int, height: int)
         raise DroptrackError(f"{options}: each says how large the input is; give one of them")
     own = (network.width, network.height)
     if config.size is not None:
-        return Canvas(own, (width, height), (width, height))
+        return [(None, Canvas(own, (width, height), (width, height)))]
+    if isinstance(config.diameter_px, tuple):
+        levels = levels_for(*config.diameter_px)
+        return [(sizes, _canvas_at(sizes.scale, width, height)) for sizes in levels]
     scale = config.scale
     if config.diameter_px is not None:
         scale = DIAMETER_PX / config.diameter_px
     if scale == AUTO:
-        return None
+        return []
     if scale is None:
-        return Canvas.like(width, height, own)
-    canvas = Canvas.of(width, height, float(scale))
+        return [(None, Canvas.like(width, height, own))]
+    return [(None, _canvas_at(float(scale), width, height))]
+
+
+def _canvas_at(scale: float, width: int, height: int) -> Canvas:
+    canvas = Canvas.of(width, height, scale)
     if max(canvas.network) > MAX_SIDE_PX:
         raise DroptrackError(
             f"a scale of {scale:.3g} makes an input of {canvas.network[0]} x {canvas.network[1]} "

@@ -66,10 +66,10 @@ def test_faint_and_red_images_are_seen_as_clearly_as_white_ones(tmp_path: Path) 
     discs = [(100.0, 120.0, 30.0), (300.0, 200.0, 40.0)]
     white = tmp_path / "white.png"
     image_of(white, discs, (500, 400))
-    plane = cv2.imread(str(white), cv2.IMREAD_GRAYSCALE)
-    faint = np.asarray(60 + plane * 0.1).astype(np.uint8)
+    plane = np.asarray(cv2.imread(str(white), cv2.IMREAD_GRAYSCALE), np.uint8)
+    faint = (60 + plane * 0.1).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "faint.png"), faint)
-    cv2.imwrite(str(tmp_path / "red.png"), np.dstack([plane * 0, plane * 0, plane]))
+    cv2.imwrite(str(tmp_path / "red.png"), np.dstack([plane * np.uint8(0)] * 2 + [plane]))
     out = tmp_path / "out"
     code, said = detect(str(tmp_path), "--out", str(out), "--no-shape")
     assert code == 0, said

@@ -13,7 +13,8 @@ import typer
 from numpy.typing import NDArray
 
 from bench.track_scores import Score, only_images, score, track
-from data_gen.videos.motions import MOTIONS, Kind, Motion, make
+from data_gen.videos.motion_kinds import MOTIONS, Kind, Motion
+from data_gen.videos.motions import make
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.detections import Detections
 from droptrack.tracking.choice import APPEARANCE_COST

@@ -10,7 +10,8 @@ from data_gen.lattice_boltzmann import shear as shears
 from data_gen.lattice_boltzmann.camera import Camera
 from data_gen.lattice_boltzmann.recording import Recording, record
 from data_gen.lattice_boltzmann.settings import Device
-from data_gen.videos.motions import Kind, Motion, write_motion
+from data_gen.videos.motion_kinds import Kind, Motion
+from data_gen.videos.motions import write_motion
 from data_gen.videos.sine import SineVideo, write_sine_video
 from droptrack.command_line import new_app, one_line_errors
 

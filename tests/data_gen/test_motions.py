@@ -8,7 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.simulate import app
-from data_gen.videos.motions import HEIGHT, MOTIONS, N_STOPPING, WIDTH, Kind, Motion, make, move
+from data_gen.videos.motion_kinds import HEIGHT, MOTIONS, WIDTH, Kind, Motion
+from data_gen.videos.motion_paths import N_STOPPING, move
+from data_gen.videos.motions import make
 from droptrack.data.mot_files import open_detections
 from droptrack.data.trajectories import read_trajectories
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_gen.videos.motions import make, train
+from data_gen.videos.motion_kinds import train
+from data_gen.videos.motions import make
 from droptrack.__main__ import app
 from droptrack.data.detections import labels
 from droptrack.data.mot_files import (

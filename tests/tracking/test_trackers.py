@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.track_scores import Score, only_images, score, track
-from data_gen.videos.motions import IN_CHANNELS, MOTIONS, Kind, Motion, make
+from data_gen.videos.motion_kinds import IN_CHANNELS, MOTIONS, Kind, Motion
+from data_gen.videos.motions import make
 from droptrack.data.trajectories import Trajectories, sorted_trajectories
 from droptrack.tracking.deepsort.tracker import DeepSortParameters, DeepSortTracker
 from droptrack.tracking.droplet.parameters import DropletParameters

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from bench.track_scores import only_images, score, track
-from data_gen.videos.motions import MOTIONS, TRAINS, make, train
+from data_gen.videos.motion_kinds import MOTIONS, TRAINS, train
+from data_gen.videos.motions import make
 from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories
 from droptrack.tracking.droplet.parameters import DropletParameters

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from data_gen.videos.motions import HEIGHT, WIDTH, Kind, Motion, events_of, make
+from data_gen.videos.motion_kinds import HEIGHT, WIDTH, Kind, Motion
+from data_gen.videos.motion_paths import events_of
+from data_gen.videos.motions import make
 from droptrack.data.trajectories import Trajectories, concatenate, sorted_trajectories
 from droptrack.evaluation.trajectory_scores import match
 from droptrack.tracking.appearance import describe_sizes

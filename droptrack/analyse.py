@@ -1,0 +1,100 @@
+"""Command: the physics of trajectories, ``python -m droptrack.analyse``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from droptrack.analysis.flock.report import PAPER_THRESHOLD, FlockConfig, analyse_flock
+from droptrack.analysis.records import Analysis
+from droptrack.analysis.writing import check_free, write_analysis
+from droptrack.command_line import new_app, one_line_errors
+from droptrack.data.formats.choice import FORMATS, format_of
+from droptrack.data.formats.table import Table, described
+from droptrack.errors import DroptrackError
+from droptrack.options import FpsOption, KnownLengthOption, UmPerPxOption, units_from
+
+TrajectoriesArgument = Annotated[
+    Path, typer.Argument(help="trajectories.csv, or a file that droptrack convert reads.")
+]
+OutOption = Annotated[Path, typer.Option(help="Folder for the results.")]
+ImageSizeOption = Annotated[
+    str | None,
+    typer.Option(metavar="WxH", help="Image size, px, where the file does not say."),
+]
+AgainOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the results of an earlier analysis.")
+]
+SeedOption = Annotated[int, typer.Option(min=0, help="Of shuffles and of the bootstrap.")]
+
+app = new_app()
+
+
+@app.callback()
+def main() -> None:
+    """Quantities that papers report, of any trajectories, with errors and null models."""
+
+
+@app.command()
+@one_line_errors
+def flock(
+    trajectories: TrajectoriesArgument,
+    out: OutOption,
+    radius: Annotated[
+        float | None, typer.Option(metavar="PX", help="Radius of the neighbourhood, px.")
+    ] = None,
+    radius_diameters: Annotated[
+        float | None,
+        typer.Option(metavar="K", help="The same in median diameters; default: 1.5."),
+    ] = None,
+    threshold: Annotated[
+        float, typer.Option(metavar="RAD", help="Aligned is what differs by less, rad.")
+    ] = PAPER_THRESHOLD,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
+    size: ImageSizeOption = None,
+    seed: SeedOption = 0,
+    overwrite: AgainOption = False,
+) -> None:
+    """Whether droplets go the way of their neighbours, and how much of that is chance."""
+    check_free(out, "flock", overwrite=overwrite)
+    table = _read(trajectories, um_per_px, known_length, fps, size)
+    config = FlockConfig(
+        radius_px=radius,
+        radius_diameters=radius_diameters,
+        threshold_rad=threshold,
+        seed=seed,
+    )
+    _write(out, "flock", analyse_flock(table, config), table)
+
+
+def _read(
+    trajectories: Path,
+    um_per_px: float | None,
+    known_length: str | None,
+    fps: float | None,
+    size: str | None,
+) -> Table:
+    """The table of a file, with what the options say of it; refuses one without rows."""
+    reader = FORMATS[format_of(trajectories)].read
+    if reader is None:
+        raise DroptrackError(f"{trajectories}: cannot be read")
+    units = units_from(um_per_px, known_length, fps)
+    table = described(reader(trajectories, units.um_per_px), units, size)
+    if not len(table.rows):
+        raise DroptrackError(f"{trajectories}: has no droplets")
+    for note in table.notes:
+        typer.echo(f"{trajectories}: {note}", err=True)
+    return table
+
+
+def _write(out: Path, name: str, found: Analysis, table: Table) -> None:
+    write_analysis(out, name, found, table.units).print()
+    for note in found.notes:
+        typer.echo(note, err=True)
+    typer.echo(f"results in {out}: {name}.html, {name}.json, tables and pictures")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,43 @@
+"""What every analysis takes from a table: rows that count, and sizes."""
+
+import numpy as np
+
+from droptrack.data.arrays import Bools, Floats, Rows
+from droptrack.data.formats.table import Table
+from droptrack.data.trajectories import Trajectories
+
+
+def kept_rows(rows: Trajectories) -> Bools:
+    """Which rows (M,) are places that were seen: not bridged, nor cut by the image's edge."""
+    return np.asarray(rows.observed & ~at_edge(rows))
+
+
+def at_edge(rows: Trajectories) -> Bools:
+    """Which rows (M,) are of droplets that the image cuts, where the table says so."""
+    return np.asarray(rows.columns.get("at_edge", np.zeros(len(rows))) == 1)
+
+
+def droplet_medians(table: Table, values: Floats) -> tuple[Rows, Floats]:
+    """Identities (N,) and the median (N,) of each droplet's values (M,); NaN without any.
+
+    Of rows that are kept.
+    """
+    rows = table.rows
+    some = np.flatnonzero(kept_rows(rows) & np.isfinite(values))
+    order = some[np.lexsort((values[some], rows.track_id[some]))]
+    ids, start, count = np.unique(rows.track_id[order], return_index=True, return_counts=True)
+    low, high = start + (count - 1) // 2, start + count // 2
+    medians = (values[order][low] + values[order][high]) / 2
+    return ids, np.asarray(medians)
+
+
+def diameters(table: Table) -> Floats:
+    """Diameters (M,) px, NaN where no size is known."""
+    found = table.diameters()
+    return np.where(found > 0, found, np.nan)
+
+
+def typical_diameter(table: Table) -> float:
+    """The median of the droplets' median diameters, px; NaN where no sizes are known."""
+    _, medians = droplet_medians(table, diameters(table))
+    return float(np.median(medians)) if len(medians) else float("nan")

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from droptrack.analysis.flock.report import PAPER_THRESHOLD, FlockConfig, analyse_flock
+from droptrack.analysis.motion.report import DEFAULT_LAG, MotionConfig, analyse_motion
 from droptrack.analysis.records import Analysis
 from droptrack.analysis.writing import check_free, write_analysis
 from droptrack.command_line import new_app, one_line_errors
@@ -25,6 +26,9 @@ ImageSizeOption = Annotated[
 AgainOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results of an earlier analysis.")
 ]
+RadiusOption = Annotated[
+    float | None, typer.Option(metavar="PX", help="Radius of the neighbourhood, px.")
+]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of shuffles and of the bootstrap.")]
 
 app = new_app()
@@ -40,9 +44,7 @@ def main() -> None:
 def flock(
     trajectories: TrajectoriesArgument,
     out: OutOption,
-    radius: Annotated[
-        float | None, typer.Option(metavar="PX", help="Radius of the neighbourhood, px.")
-    ] = None,
+    radius: RadiusOption = None,
     radius_diameters: Annotated[
         float | None,
         typer.Option(metavar="K", help="The same in median diameters; default: 1.5."),
@@ -67,6 +69,33 @@ def flock(
         seed=seed,
     )
     _write(out, "flock", analyse_flock(table, config), table)
+
+
+@app.command()
+@one_line_errors
+def motion(
+    trajectories: TrajectoriesArgument,
+    out: OutOption,
+    radius: RadiusOption = None,
+    radius_diameters: Annotated[
+        float | None,
+        typer.Option(metavar="K", help="The same in median diameters; default: 2."),
+    ] = None,
+    lag: Annotated[
+        int, typer.Option(metavar="FRAMES", help="Of the non-affine displacement.")
+    ] = DEFAULT_LAG,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
+    size: ImageSizeOption = None,
+    seed: SeedOption = 0,
+    overwrite: AgainOption = False,
+) -> None:
+    """Mean square displacement, velocities and their profiles, fluctuations, non-affine motion."""
+    check_free(out, "motion", overwrite=overwrite)
+    table = _read(trajectories, um_per_px, known_length, fps, size)
+    config = MotionConfig(radius_px=radius, radius_diameters=radius_diameters, lag=lag, seed=seed)
+    _write(out, "motion", analyse_motion(table, config), table)
 
 
 def _read(

@@ -53,3 +53,8 @@ def some_frames(frames: Rows, most: int) -> Rows:
         return np.arange(len(frames))
     kept = all_frames[np.unique(np.linspace(0, len(all_frames) - 1, most).astype(int))]
     return np.flatnonzero(np.isin(frames, kept))
+
+
+def shuffled(frames: Rows, rng: np.random.Generator) -> Rows:
+    """Rows (K,) in an order at random within each frame; frames (K,) rise."""
+    return np.lexsort((rng.random(len(frames)), frames))

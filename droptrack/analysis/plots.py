@@ -102,8 +102,8 @@ def _snapshot(canvas: Figure, axes: Axes, shot: Snapshot, units: Units) -> None:
     widths = 2 * shot.radii * scale
     circles = EllipseCollection(
         widths, widths, np.zeros_like(widths), units="xy", offsets=shot.places * scale,
-        transOffset=axes.transData, edgecolors="black", linewidths=0.5, cmap="viridis",
-        facecolors="none" if shot.values is not None else "lightsteelblue",
+        offset_transform=axes.transData, edgecolors="black", linewidths=0.5, cmap="viridis",
+        facecolors="lightsteelblue",
     )  # fmt: skip
     if shot.values is not None:
         circles.set_array(np.ma.masked_invalid(shot.values))

@@ -1,10 +1,13 @@
 """What every analysis takes from a table: rows that count, and sizes."""
 
+import math
+
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.formats.table import Table
 from droptrack.data.trajectories import Trajectories
+from droptrack.errors import DroptrackError
 
 
 def kept_rows(rows: Trajectories) -> Bools:
@@ -41,3 +44,20 @@ def typical_diameter(table: Table) -> float:
     """The median of the droplets' median diameters, px; NaN where no sizes are known."""
     _, medians = droplet_medians(table, diameters(table))
     return float(np.median(medians)) if len(medians) else float("nan")
+
+
+def neighbourhood_radius(
+    radius_px: float | None, radius_diameters: float | None, diameter: float, default: float
+) -> float:
+    """The radius, px, that two options give, else `default` diameters; NaN where none is known.
+
+    Raises DroptrackError for both options, and for what is not above 0.
+    """
+    if radius_px is not None and radius_diameters is not None:
+        raise DroptrackError("give --radius or --radius-diameters, not both")
+    for option, value in (("--radius", radius_px), ("--radius-diameters", radius_diameters)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise DroptrackError(f"{option} {value:g}: should be above 0")
+    if radius_px is not None:
+        return radius_px
+    return (radius_diameters or default) * diameter

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,31 +15,8 @@ from droptrack.analysis.flock.report import FlockConfig, analyse_flock
 from droptrack.analysis.paths import paths_of
 from droptrack.data.arrays import Floats
 from droptrack.data.formats.table import Table
-from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
-
-
-def rows_of(places: Floats, diameter: float = 10.0) -> Trajectories:
-    """Rows of places (T, N, 2) px; NaN is a droplet that was missed."""
-    n_frames, n = places.shape[:2]
-    frame, track_id = np.divmod(np.arange(n_frames * n), n)
-    x, y = places.reshape(-1, 2).T
-    some = np.isfinite(x)
-    m = int(some.sum())
-    return sorted_trajectories(
-        frame[some],
-        track_id[some] + 1,
-        x[some],
-        y[some],
-        np.column_stack([x[some], y[some], np.full((m, 2), diameter)]),
-        np.ones(m),
-        np.ones(m, bool),
-    )
-
-
-def moving(starts: Floats, velocity: Callable[[int], Floats], n_frames: int) -> Floats:
-    """Places (T, N, 2) of droplets that start somewhere (N, 2), with velocities (N, 2) in time."""
-    steps = [np.broadcast_to(velocity(t), starts.shape) for t in range(n_frames - 1)]
-    return np.cumsum([starts, *steps], axis=0)
+from droptrack.data.trajectories import Trajectories, write_trajectories
+from tests.analysis.drawings import moving, rows_of
 
 
 def values(rows: Trajectories, **options: float) -> dict[str, float]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from droptrack.analysis.flock.headings import Headings
-from droptrack.analysis.neighbourhoods import blocks_with_pairs
+from droptrack.analysis.neighbourhoods import blocks_with_pairs, shuffled
 from droptrack.data.arrays import Bools, Floats, Rows
 
 MAX_SHUFFLES = 20
@@ -55,11 +55,6 @@ def mean_of_neighbours(angles: Floats, first: Rows, second: Rows) -> tuple[Float
     count = np.bincount(first, minlength=n) + np.bincount(second, minlength=n)
     known = np.hypot(x, y) > 1e-9 * np.maximum(count, 1)
     return np.where(known, np.arctan2(y, x), np.nan), count
-
-
-def shuffled(frames: Rows, rng: np.random.Generator) -> Rows:
-    """Rows (K,) in an order at random within each frame; frames (K,) rise."""
-    return np.lexsort((rng.random(len(frames)), frames))
 
 
 def align(

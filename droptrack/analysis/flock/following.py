@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from droptrack.analysis.flock.alignment import shuffled
 from droptrack.analysis.flock.headings import Headings
-from droptrack.analysis.neighbourhoods import blocks_with_pairs, some_frames
+from droptrack.analysis.neighbourhoods import blocks_with_pairs, shuffled, some_frames
 from droptrack.data.arrays import Bools, Floats, Rows
 
 MAX_LAG = 20  # frames, to either side

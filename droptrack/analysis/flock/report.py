@@ -26,7 +26,7 @@ from droptrack.analysis.records import (
     Analysis,
     Quantity,
 )
-from droptrack.analysis.tables import kept_rows, typical_diameter
+from droptrack.analysis.tables import kept_rows, neighbourhood_radius, typical_diameter
 from droptrack.data.arrays import Floats
 from droptrack.data.formats.table import Table
 from droptrack.data.report import Value
@@ -54,7 +54,11 @@ def analyse_flock(table: Table, config: FlockConfig) -> Analysis:
     Raises DroptrackError for options that cannot be, and where no radius is known.
     """
     diameter = typical_diameter(table)
-    radius = _radius(config, diameter)
+    radius = neighbourhood_radius(
+        config.radius_px, config.radius_diameters, diameter, DEFAULT_DIAMETERS
+    )
+    if math.isnan(radius):
+        raise DroptrackError("the trajectories have no sizes of droplets; give --radius, in px")
     if not 0 < config.threshold_rad <= math.pi:
         raise DroptrackError(f"--threshold {config.threshold_rad:g}: should be above 0, up to pi")
     kept = kept_rows(table.rows)
@@ -93,22 +97,6 @@ def analyse_flock(table: Table, config: FlockConfig) -> Analysis:
         tables={"following": following_rows(following, paths_of(table.rows, kept).ids)},
         notes=_notes(headings, main),
     )
-
-
-def _radius(config: FlockConfig, diameter: float) -> float:
-    if config.radius_px is not None and config.radius_diameters is not None:
-        raise DroptrackError("give --radius or --radius-diameters, not both")
-    for option, value in (
-        ("--radius", config.radius_px),
-        ("--radius-diameters", config.radius_diameters),
-    ):
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise DroptrackError(f"{option} {value:g}: should be above 0")
-    if config.radius_px is not None:
-        return config.radius_px
-    if not diameter > 0:
-        raise DroptrackError("the trajectories have no sizes of droplets; give --radius, in px")
-    return (config.radius_diameters or DEFAULT_DIAMETERS) * diameter
 
 
 def _settings(

@@ -8,6 +8,12 @@ import typer
 from droptrack.analysis.flock.report import PAPER_THRESHOLD, FlockConfig, analyse_flock
 from droptrack.analysis.motion.report import DEFAULT_LAG, MotionConfig, analyse_motion
 from droptrack.analysis.records import Analysis
+from droptrack.analysis.structure.report import (
+    DEFAULT_PERSISTENCE,
+    DEFAULT_REACH,
+    StructureConfig,
+    analyse_structure,
+)
 from droptrack.analysis.writing import check_free, write_analysis
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.formats.choice import FORMATS, format_of
@@ -96,6 +102,45 @@ def motion(
     table = _read(trajectories, um_per_px, known_length, fps, size)
     config = MotionConfig(radius_px=radius, radius_diameters=radius_diameters, lag=lag, seed=seed)
     _write(out, "motion", analyse_motion(table, config), table)
+
+
+@app.command()
+@one_line_errors
+def structure(
+    trajectories: TrajectoriesArgument,
+    out: OutOption,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y X,Y X,Y... | FILE",
+            help="Where droplets can be: a polygon, px, or an image that is black elsewhere; "
+            "default: in the whole image.",
+        ),
+    ] = None,
+    periodic: Annotated[
+        bool, typer.Option("--periodic", help="The image is a periodic box.")
+    ] = False,
+    reach: Annotated[
+        float,
+        typer.Option(metavar="K", help="Neighbours are at most so many mean diameters apart."),
+    ] = DEFAULT_REACH,
+    persistence: Annotated[
+        int, typer.Option(metavar="FRAMES", help="How long a change of neighbours has to last.")
+    ] = DEFAULT_PERSISTENCE,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
+    size: ImageSizeOption = None,
+    seed: SeedOption = 0,
+    overwrite: AgainOption = False,
+) -> None:
+    """Pair correlation, Voronoi cells, neighbours, hexatic order, rearrangements (T1)."""
+    check_free(out, "structure", overwrite=overwrite)
+    table = _read(trajectories, um_per_px, known_length, fps, size)
+    config = StructureConfig(
+        region=region, periodic=periodic, reach=reach, persistence=persistence, seed=seed
+    )
+    _write(out, "structure", analyse_structure(table, config), table)
 
 
 def _read(

@@ -76,7 +76,8 @@ def _curve(axes: Axes, curve: Curve, log: str, chance: Any) -> None:
     elif curve.style is Style.points:
         axes.errorbar(x, y, error, fmt="o", markersize=3, linewidth=0.8, label=curve.label)
     else:
-        (line,) = axes.plot(x, y, ".-", linewidth=1.2, markersize=4, label=curve.label)
+        gaps = np.where(known, curve.y, np.nan)  # no line across what is not known
+        (line,) = axes.plot(curve.x, gaps, ".-", linewidth=1.2, markersize=4, label=curve.label)
         if error is not None:
             low = y - error
             if "y" in log:
@@ -107,6 +108,7 @@ def _snapshot(canvas: Figure, axes: Axes, shot: Snapshot, units: Units) -> None:
     )  # fmt: skip
     if shot.values is not None:
         circles.set_array(np.ma.masked_invalid(shot.values))
+        circles.set_clim(*(shot.limits or (None, None)))
         canvas.colorbar(circles, ax=axes, label=shot.value_label, shrink=0.8)
     axes.add_collection(circles)
     if shot.lines is not None and len(shot.lines):

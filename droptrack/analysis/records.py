@@ -108,6 +108,7 @@ class Snapshot:
     size: tuple[int, int]
     values: Floats | None = None
     value_label: str = ""
+    limits: tuple[float, float] | None = None  # of the colours
     arrows: Floats | None = None
     lines: Floats | None = None
     circle: tuple[float, float, float] | None = None

@@ -40,6 +40,15 @@ def diameters(table: Table) -> Floats:
     return np.where(found > 0, found, np.nan)
 
 
+def droplet_areas(table: Table) -> Floats:
+    """Areas (M,) px²: of the outline where it was measured, else of an ellipse in the box."""
+    boxes = table.rows.boxes
+    of_boxes = np.pi / 4 * boxes[:, 2] * boxes[:, 3]
+    measured = table.column("area_px2")
+    areas = of_boxes if measured is None else np.where(np.isfinite(measured), measured, of_boxes)
+    return np.where(areas > 0, areas, np.nan)
+
+
 def typical_diameter(table: Table) -> float:
     """The median of the droplets' median diameters, px; NaN where no sizes are known."""
     _, medians = droplet_medians(table, diameters(table))

@@ -6,8 +6,10 @@ from typing import Annotated
 import typer
 
 from droptrack.analysis.flock.report import PAPER_THRESHOLD, FlockConfig, analyse_flock
+from droptrack.analysis.flow.report import FlowConfig, analyse_flow
 from droptrack.analysis.motion.report import DEFAULT_LAG, MotionConfig, analyse_motion
 from droptrack.analysis.records import Analysis
+from droptrack.analysis.size.report import SizeConfig, analyse_size
 from droptrack.analysis.structure.report import (
     DEFAULT_PERSISTENCE,
     DEFAULT_REACH,
@@ -141,6 +143,82 @@ def structure(
         region=region, periodic=periodic, reach=reach, persistence=persistence, seed=seed
     )
     _write(out, "structure", analyse_structure(table, config), table)
+
+
+@app.command()
+@one_line_errors
+def flow(
+    trajectories: TrajectoriesArgument,
+    out: OutOption,
+    line: Annotated[
+        str | None,
+        typer.Option(metavar="X1,Y1,X2,Y2", help="Count what passes this line."),
+    ] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X1,Y1,X2,Y2[,X3,Y3...]",
+            help="Stays in a rectangle by its corners, or in a polygon.",
+        ),
+    ] = None,
+    clog: Annotated[
+        float | None,
+        typer.Option(
+            metavar="FRAMES", help="Longer intervals are clogs; default: ten times their median."
+        ),
+    ] = None,
+    viscosity: Annotated[
+        float | None, typer.Option(metavar="PA_S", help="Of the liquid around, Pa s.")
+    ] = None,
+    tension: Annotated[
+        float | None, typer.Option(metavar="N_PER_M", help="Interfacial tension, N/m.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(metavar="KG_PER_M3", help="Of the liquid around, kg/m³.")
+    ] = None,
+    centre: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y", help="What droplets turn around; default: their mean place."),
+    ] = None,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
+    size: ImageSizeOption = None,
+    seed: SeedOption = 0,
+    overwrite: AgainOption = False,
+) -> None:
+    """Passages, intervals and clogs, residence, flow rate, Ca and Re, circulation."""
+    check_free(out, "flow", overwrite=overwrite)
+    table = _read(trajectories, um_per_px, known_length, fps, size)
+    config = FlowConfig(
+        line=line,
+        region=region,
+        clog_frames=clog,
+        viscosity=viscosity,
+        tension=tension,
+        density=density,
+        centre=centre,
+        seed=seed,
+    )
+    _write(out, "flow", analyse_flow(table, config), table)
+
+
+@app.command("size")
+@one_line_errors
+def sizes(
+    trajectories: TrajectoriesArgument,
+    out: OutOption,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    fps: FpsOption = None,
+    size: ImageSizeOption = None,
+    seed: SeedOption = 0,
+    overwrite: AgainOption = False,
+) -> None:
+    """Sizes, polydispersity, Sauter diameter, deformation against the place."""
+    check_free(out, "size", overwrite=overwrite)
+    table = _read(trajectories, um_per_px, known_length, fps, size)
+    _write(out, "size", analyse_size(table, SizeConfig(seed=seed)), table)
 
 
 def _read(

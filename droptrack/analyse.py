@@ -1,5 +1,6 @@
 """Command: the physics of trajectories, ``python -m droptrack.analyse``."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -76,7 +77,7 @@ def flock(
         threshold_rad=threshold,
         seed=seed,
     )
-    _write(out, "flock", analyse_flock(table, config), table)
+    _write(out, "flock", analyse_flock(table, config), table, trajectories)
 
 
 @app.command()
@@ -103,7 +104,7 @@ def motion(
     check_free(out, "motion", overwrite=overwrite)
     table = _read(trajectories, um_per_px, known_length, fps, size)
     config = MotionConfig(radius_px=radius, radius_diameters=radius_diameters, lag=lag, seed=seed)
-    _write(out, "motion", analyse_motion(table, config), table)
+    _write(out, "motion", analyse_motion(table, config), table, trajectories)
 
 
 @app.command()
@@ -142,7 +143,7 @@ def structure(
     config = StructureConfig(
         region=region, periodic=periodic, reach=reach, persistence=persistence, seed=seed
     )
-    _write(out, "structure", analyse_structure(table, config), table)
+    _write(out, "structure", analyse_structure(table, config), table, trajectories)
 
 
 @app.command()
@@ -200,7 +201,7 @@ def flow(
         centre=centre,
         seed=seed,
     )
-    _write(out, "flow", analyse_flow(table, config), table)
+    _write(out, "flow", analyse_flow(table, config), table, trajectories)
 
 
 @app.command("size")
@@ -218,7 +219,7 @@ def sizes(
     """Sizes, polydispersity, Sauter diameter, deformation against the place."""
     check_free(out, "size", overwrite=overwrite)
     table = _read(trajectories, um_per_px, known_length, fps, size)
-    _write(out, "size", analyse_size(table, SizeConfig(seed=seed)), table)
+    _write(out, "size", analyse_size(table, SizeConfig(seed=seed)), table, trajectories)
 
 
 def _read(
@@ -241,7 +242,8 @@ def _read(
     return table
 
 
-def _write(out: Path, name: str, found: Analysis, table: Table) -> None:
+def _write(out: Path, name: str, found: Analysis, table: Table, source: Path) -> None:
+    found = replace(found, settings={"trajectories": str(source), **found.settings})
     write_analysis(out, name, found, table.units).print()
     for note in found.notes:
         typer.echo(note, err=True)

@@ -165,5 +165,7 @@ def _unit(dimension: Dimension, length: str, time: str, *, key: bool) -> str:
         if dimension == TIME and time == "frame":
             return "_frames"
         return "".join(f"_{one}" for one in above) + "".join(f"_per_{one}" for one in below)
+    if dimension == TIME and time == "frame":
+        return "frames"
     top = "·".join(above) or ("1" if below else "")
     return top + (f"/{'·'.join(below)}" if below else "")

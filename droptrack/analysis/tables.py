@@ -70,3 +70,15 @@ def neighbourhood_radius(
     if radius_px is not None:
         return radius_px
     return (radius_diameters or default) * diameter
+
+
+def frame_notes(table: Table) -> list[str]:
+    """What is to be said of a table without any two frames in a row."""
+    frames = np.unique(table.rows.frame)
+    apart = int(np.diff(frames).min()) if len(frames) > 1 else 1
+    if apart == 1:
+        return []
+    return [
+        f"No two frames in a row: they are at least {apart} apart. Steps, headings and velocities "
+        "are from one frame to the next, so there are none; number the frames 0, 1, 2."
+    ]

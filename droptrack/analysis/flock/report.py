@@ -26,7 +26,7 @@ from droptrack.analysis.records import (
     Analysis,
     Quantity,
 )
-from droptrack.analysis.tables import kept_rows, neighbourhood_radius, typical_diameter
+from droptrack.analysis.tables import frame_notes, kept_rows, neighbourhood_radius, typical_diameter
 from droptrack.data.arrays import Floats
 from droptrack.data.formats.table import Table
 from droptrack.data.report import Value
@@ -35,6 +35,7 @@ from droptrack.errors import DroptrackError
 DEFAULT_DIAMETERS = 1.5  # between the first and the second ring of neighbours of a dense emulsion
 PAPER_SHARE, PAPER_THRESHOLD = 0.47, 0.12
 SWEEP_FRAMES = 500
+MIN_PEAK = 4.0  # standard errors over the median of all lags, for a delay to be one
 CHANCE = "headings shuffled among the droplets of each frame"
 
 
@@ -62,7 +63,8 @@ def analyse_flock(table: Table, config: FlockConfig) -> Analysis:
     if not 0 < config.threshold_rad <= math.pi:
         raise DroptrackError(f"--threshold {config.threshold_rad:g}: should be above 0, up to pi")
     kept = kept_rows(table.rows)
-    headings, excluded = headings_of(paths_of(table.rows, kept))
+    paths = paths_of(table.rows, kept)
+    headings, excluded = headings_of(paths)
     rng = np.random.default_rng(config.seed)
     main = align(headings, radius, config.threshold_rad, rng, "neighbours")
     n_pairs = int(main.compared.sum())
@@ -94,8 +96,8 @@ def analyse_flock(table: Table, config: FlockConfig) -> Analysis:
             order_chart(headings),
             following_chart(following, rng),
         ],
-        tables={"following": following_rows(following, paths_of(table.rows, kept).ids)},
-        notes=_notes(headings, main),
+        tables={"following": following_rows(following, paths.ids)},
+        notes=[*frame_notes(table), *_notes(headings, main)],
     )
 
 
@@ -197,7 +199,8 @@ def _order(headings: Headings, rng: np.random.Generator) -> list[Quantity]:
             "polarisation_mean_flow_subtracted",
             "Polarisation, mean flow subtracted",
             headings.relative_to(mean_flow(headings)),
-            " of the velocities less their mean in the frame",
+            " of the velocities less their mean in the frame, which sum to nothing, so that less "
+            "than chance is no order",
         ),
     ):
         frames, order, chance = polarisation(of)
@@ -225,11 +228,17 @@ def _delay(following: Following, rng: np.random.Generator) -> list[Quantity]:
         reason = "the headings of neighbours never change: every delay fits"
     value = error = float("nan")
     if not reason:
-        value = float(following.lags[np.nanargmax(_correlation(following))])
+        mean = _correlation(following)
+        best = int(np.nanargmax(mean))
+        value = float(following.lags[best])
         samples = resampled(following.sums, following.counts, rng)
         sure = samples[np.isfinite(samples).all(axis=1)]
         if len(sure):
             error = float(standard_error(following.lags[sure.argmax(axis=1)].astype(float)))
+            above = standard_error(sure[:, best] - np.median(sure, axis=1))
+            if mean[best] - np.nanmedian(mean) < MIN_PEAK * float(above):
+                reason = "the correlation has no peak that is more than its error"
+                value = error = float("nan")
         if abs(value) == MAX_LAG:
             reason = f"the correlation still rises at {MAX_LAG} frames, the longest delay tried"
             value = error = float("nan")

@@ -17,7 +17,13 @@ from droptrack.analysis.flow.figures import (
 from droptrack.analysis.flow.intervals import interval_quantities, intervals_of
 from droptrack.analysis.paths import Paths, paths_of
 from droptrack.analysis.records import RATE, TIME, Analysis, Figure, Quantity
-from droptrack.analysis.tables import droplet_areas, droplet_medians, kept_rows, typical_diameter
+from droptrack.analysis.tables import (
+    droplet_areas,
+    droplet_medians,
+    frame_notes,
+    kept_rows,
+    typical_diameter,
+)
 from droptrack.data.arrays import Floats
 from droptrack.data.formats.table import Table
 from droptrack.data.report import Value
@@ -111,7 +117,7 @@ def analyse_flow(table: Table, config: FlowConfig) -> Analysis:
             **({} if line is None else {"passages": _passage_rows(found)}),
             **({} if region is None else {"stays": [_stay_row(one) for one in there]}),
         },
-        notes=_notes(around),
+        notes=[*frame_notes(table), *_notes(around)],
     )
 
 

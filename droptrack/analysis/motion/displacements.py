@@ -6,6 +6,7 @@ import numpy as np
 
 from droptrack.analysis.paths import Paths
 from droptrack.data.arrays import Floats, Rows
+from droptrack.progress import with_progress
 
 N_LAGS = 30
 FIT_SHARE = 0.5  # of the lags, the shorter ones, over which the exponent is fitted
@@ -40,7 +41,7 @@ def moments(paths: Paths, places: Floats, lags: Rows) -> Moments:
     """
     shape = (paths.n_droplets, len(lags))
     second, fourth, counts = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-    for k, lag in enumerate(lags.tolist()):
+    for k, lag in enumerate(with_progress(lags.tolist(), len(lags), "displacements", "lags")):
         square = (paths.displacements(lag, places) ** 2).sum(axis=1)
         second[:, k], fourth[:, k] = paths.sums(square), paths.sums(square**2)
         counts[:, k] = paths.counts(np.isfinite(square))

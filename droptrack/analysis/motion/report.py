@@ -34,7 +34,7 @@ from droptrack.analysis.records import (
     Quantity,
     Style,
 )
-from droptrack.analysis.tables import kept_rows, neighbourhood_radius, typical_diameter
+from droptrack.analysis.tables import frame_notes, kept_rows, neighbourhood_radius, typical_diameter
 from droptrack.data.arrays import Floats, Rows
 from droptrack.data.formats.table import Table
 from droptrack.errors import DroptrackError
@@ -111,7 +111,7 @@ def analyse_motion(table: Table, config: MotionConfig) -> Analysis:
         },
         quantities=[*quantities, *found],
         figures=[*figures, *charts],
-        notes=_notes(motion),
+        notes=[*frame_notes(table), *_notes(motion)],
     )
 
 
@@ -217,7 +217,6 @@ def _memory(motion: _Motion, rng: np.random.Generator) -> tuple[list[Quantity], 
     paths = motion.paths
     lags = correlation_lags(paths.longest)
     curves, value, error, reason = [], float("nan"), float("nan"), ""
-    moved = np.full(motion.still.shape, np.nan)
     moved = paths.displacements(1, motion.still)
     for label, of in (("as it is", motion.velocities), ("drift subtracted", moved)):
         sums, counts = autocorrelation(paths, of, lags)

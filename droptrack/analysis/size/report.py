@@ -187,9 +187,8 @@ def _histogram(medians: Floats, noise: float) -> Chart:
     curves: list[Curve] = []
     if len(medians):
         spread = np.ptp(medians) > 1e-9
-        edges = np.histogram_bin_edges(medians, "auto") if spread else medians[0] + [-0.5, 0.5]
-        if len(edges) > MAX_BINS + 1:
-            edges = np.linspace(edges[0], edges[-1], MAX_BINS + 1)
+        bins = int(np.clip(np.sqrt(len(medians)), 5, MAX_BINS)) if spread else 1
+        edges = np.histogram_bin_edges(medians, bins)
         counts = np.histogram(medians, edges)[0].astype(float)
         middles, width = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
         curves = [

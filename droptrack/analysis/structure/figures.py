@@ -21,7 +21,7 @@ from droptrack.analysis.structure.frames import MOST_FRACTION, FrameSums
 from droptrack.analysis.structure.order import hexatic_order
 from droptrack.analysis.structure.window import Window
 from droptrack.analysis.tables import diameters
-from droptrack.data.arrays import Floats
+from droptrack.data.arrays import Bools, Floats
 from droptrack.data.formats.table import Table
 
 RATE_BINS = 20
@@ -61,8 +61,8 @@ def figures_of(
         _neighbours(sums, rng),
         _fractions(sums, rng),
         _order(sums),
-        _rate_in_time(table, sums),
-        _rate_along_x(table, sums),
+        _rate_in_time(table, window, sums),
+        _rate_along_x(table, window, sums),
     ]
     shot = _snapshot(table, window, reach, sums)
     return charts if shot is None else [shot, *charts]
@@ -114,6 +114,8 @@ def _order(sums: FrameSums) -> Chart:
 
 def _rate(places: Floats, of_rows: Floats) -> tuple[Floats, Floats, Floats]:
     """Middles (B,), events a row (B,), and their Poisson errors, in bins over all rows."""
+    if not len(of_rows):
+        return np.zeros(0), np.zeros(0), np.zeros(0)
     edges = np.linspace(of_rows.min(), of_rows.max() + 1e-9, RATE_BINS + 1)
     n, rows = np.histogram(places, edges)[0], np.histogram(of_rows, edges)[0]
     enough = rows > 0
@@ -123,17 +125,25 @@ def _rate(places: Floats, of_rows: Floats) -> tuple[Floats, Floats, Floats]:
     return (edges[1:] + edges[:-1]) / 2, rate, error
 
 
-def _rate_in_time(table: Table, sums: FrameSums) -> Chart:
+def _rate_in_time(table: Table, window: Window, sums: FrameSums) -> Chart:
     events = np.array([one.frame for one in sums.events], float)
     time = Axis(label="time", stem="time", dimension=TIME)
-    return _rate_chart("t1_in_time", "time", time, _rate(events, table.rows.frame.astype(float)))
+    frames = table.rows.frame[_inside(table, window)].astype(float)
+    return _rate_chart("t1_in_time", "time", time, _rate(events, frames))
 
 
-def _rate_along_x(table: Table, sums: FrameSums) -> Chart:
+def _rate_along_x(table: Table, window: Window, sums: FrameSums) -> Chart:
     events = np.array([one.x for one in sums.events], float)
     return _rate_chart(
-        "t1_along_x", "x", Axis(label="x", stem="x", dimension=LENGTH), _rate(events, table.rows.x)
+        "t1_along_x",
+        "x",
+        Axis(label="x", stem="x", dimension=LENGTH),
+        _rate(events, table.rows.x[_inside(table, window)]),
     )
+
+
+def _inside(table: Table, window: Window) -> Bools:
+    return window.contains(np.column_stack([table.rows.x, table.rows.y]))
 
 
 def _rate_chart(name: str, along: str, axis: Axis, of: tuple[Floats, Floats, Floats]) -> Chart:

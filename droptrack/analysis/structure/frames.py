@@ -76,8 +76,14 @@ def sum_frames(table: Table, window: Window, reach: float, persistence: int) -> 
         with_neighbours=sums.with_neighbours, droplet_area=sums.droplet_area,
         cell_area=sums.cell_area, sized=sums.sized, fractions=sums.fractions,
         inner_of_frame=sums.inner_of_frame, order_of_frame=sums.order_of_frame,
-        global_order=sums.global_order, events=changes.found(), n_flips=changes.n_flips,
+        global_order=sums.global_order, events=_within(changes.found(), window),
+        n_flips=changes.n_flips,
     )  # fmt: skip
+
+
+def _within(events: Sequence[Rearrangement], window: Window) -> list[Rearrangement]:
+    places = np.array([[one.x, one.y] for one in events]).reshape(-1, 2)
+    return [one for one, inside in zip(events, window.contains(places), strict=True) if inside]
 
 
 class _Sums:

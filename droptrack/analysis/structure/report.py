@@ -240,15 +240,16 @@ def _peak(of: Correlation) -> list[Quantity]:
 
 def _rate(sums: FrameSums, persistence: int, rng: np.random.Generator) -> Quantity:
     events = per_droplet(sums.events, len(sums.ids))[:, None]
-    present = np.bincount(sums.owners, minlength=len(sums.ids)).astype(float)[:, None]
+    present = sums.in_window[:, None]
     long = len(sums.frames) > 2 * persistence
     value, error = ratio_and_error(events, present, rng)
     return Quantity(
         stem="t1_rate", label="T1 events of a droplet", value=float(value[0]) if long else np.nan,
         error=float(error[0]) if long else float("nan"), null=0.0, dimension=RATE,
         null_model="an affine motion; noise makes changes that do not last",
-        definition="T1 events, a change of neighbours among four droplets after and before which "
-        f"the pairs stay as they are for at least {persistence} frames, over droplets and frames",
+        definition="T1 events, changes of neighbours among four droplets in the window, before and "
+        f"after which the pairs stay as they are for at least {persistence} frames, over droplets "
+        "and frames",
         reason="" if long else f"needs more than {2 * persistence} frames",
     )  # fmt: skip
 

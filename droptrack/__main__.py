@@ -1,5 +1,6 @@
 """All commands in one: ``droptrack track``, ``train``, ``evaluate`` and so on."""
 
+from droptrack.analyse import app as analyse
 from droptrack.anchors import main as anchors
 from droptrack.calibrate import main as calibrate
 from droptrack.command_line import new_app
@@ -18,6 +19,7 @@ app.command("train")(train)
 app.command("convert")(convert)
 app.command("evaluate")(evaluate)
 app.command("events")(events)
+app.add_typer(analyse, name="analyse")
 app.command("calibrate")(calibrate)
 app.command("export")(export)
 app.command("anchors")(anchors)

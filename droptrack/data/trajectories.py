@@ -4,7 +4,7 @@ A file begins with ``# key: value`` lines that say what made it, then has the co
 ``frame,track_id,x,y,w,h,score,observed`` and possibly more. Frames count from 0, tracks from 1.
 """
 
-import io
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.arrays import Bools, Floats, Rows
-from droptrack.data.files import read_text
+from droptrack.data.files import reading
 from droptrack.errors import DroptrackError
 
 if TYPE_CHECKING:
@@ -214,24 +214,7 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     Without columns box_x and box_y, the box is taken to be centred at (x, y). Raises DroptrackError
     naming the line that is wrong.
     """
-    lines = read_text(path).splitlines()
-    about = {}
-    start = 0
-    for start, line in enumerate(lines):  # noqa: B007
-        if not line.startswith("#"):
-            break
-        key, colon, value = line[1:].partition(":")
-        if colon:
-            about[key.strip()] = value.strip()
-    header = tuple(lines[start].split(",")) if start < len(lines) else ()
-    if header[: len(COLUMNS)] != COLUMNS:
-        raise DroptrackError(f"{path}: should have the columns {','.join(COLUMNS)}")
-    table = np.empty((0, len(header)))
-    if lines[start + 1 :]:
-        try:
-            table = np.loadtxt(io.StringIO("\n".join(lines[start + 1 :])), delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise DroptrackError(f"{path}: after line {start + 1}: {error}") from None
+    about, header, table = _read_table(path)
     if table.shape[1] != len(header):
         raise DroptrackError(f"{path}: rows should have {len(header)} columns as the first line")
     column = dict(zip(header, table.T, strict=True))
@@ -250,3 +233,32 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     except ValueError as error:
         raise DroptrackError(f"{path}: {error}") from None
     return rows, about
+
+
+def _read_table(path: Path) -> tuple[dict[str, str], tuple[str, ...], Floats]:
+    """What ``#`` lines say, the names of the columns, and the rows (M, columns).
+
+    Line by line: a file may have millions of them.
+    """
+    about: dict[str, str] = {}
+    with reading(path), path.open(encoding="utf-8-sig") as file:
+        start = 1
+        line = file.readline()
+        while line.startswith("#"):
+            key, colon, value = line[1:].partition(":")
+            if colon:
+                about[key.strip()] = value.strip()
+            line, start = file.readline(), start + 1
+        header = tuple(line.rstrip("\n").split(","))
+        if header[: len(COLUMNS)] != COLUMNS:
+            raise DroptrackError(f"{path}: should have the columns {','.join(COLUMNS)}")
+        first = file.readline()
+        if not first:
+            return about, header, np.empty((0, len(header)))
+        try:
+            table = np.loadtxt(itertools.chain([first], file), delimiter=",", ndmin=2)
+        except UnicodeDecodeError:
+            raise
+        except ValueError as error:
+            raise DroptrackError(f"{path}: after line {start}: {error}") from None
+    return about, header, table

@@ -1,0 +1,1 @@
+"""How droplets pass a line, stay in a region, turn; and the numbers of the flow."""

@@ -1,0 +1,1 @@
+"""How droplets move: displacements, velocities, and what is not affine of them."""

@@ -1,0 +1,1 @@
+"""How large droplets are, how different, and how deformed where."""

@@ -1,0 +1,1 @@
+"""How droplets are arranged in a frame, and when neighbours change."""

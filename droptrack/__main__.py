@@ -1,6 +1,7 @@
 """All commands in one: ``droptrack track``, ``train``, ``evaluate`` and so on."""
 
 from droptrack.anchors import main as anchors
+from droptrack.batch import main as batch
 from droptrack.calibrate import main as calibrate
 from droptrack.command_line import new_app
 from droptrack.convert import main as convert
@@ -13,6 +14,7 @@ from droptrack.train import main as train
 
 app = new_app()
 app.command("track")(track)
+app.command("batch")(batch)
 app.command("detect")(detect)
 app.command("train")(train)
 app.command("convert")(convert)

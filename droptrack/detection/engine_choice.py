@@ -5,6 +5,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -16,10 +17,10 @@ from droptrack.detection.detector import Detector, Engine, first_line
 from droptrack.detection.engines import opencv_dnn
 from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
-from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_cfg import Cfg, cfg_text
 from droptrack.network.darknet_weights import Weights, read_weights
 from droptrack.network.pruning import pruned
-from droptrack.network.quantisation import find_calibration
+from droptrack.network.quantisation import find_calibration, sha256_of
 
 
 class Backend(StrEnum):
@@ -73,6 +74,10 @@ class Network:
         """The weights; raises DroptrackError for a file that does not fit the cfg."""
         return read_weights(self.weights_path, self.cfg)
 
+    def key(self) -> tuple[object, ...]:
+        """What an engine depends on; raises DroptrackError where there are no weights."""
+        return cfg_text(self.cfg), sha256_of(self.weights_path), self.threshold
+
     def detector(self, engine: Engine) -> Detector:
         """A detector with this network on an engine."""
         return Detector(
@@ -86,6 +91,25 @@ class Network:
         )
 
 
+class Engines:
+    """Engines that were made, so that the next video need not wait for its network again.
+
+    Holds the `n_held` that were used last. One may be used by one video at a time.
+    """
+
+    def __init__(self, n_held: int = 4) -> None:
+        self._made: dict[tuple[object, ...], Engine] = {}
+        self._n_held = n_held
+
+    def get(self, key: tuple[object, ...], make: Callable[[], Engine]) -> Engine:
+        """The engine of a key, made where there is none."""
+        engine = self._made.pop(key, None) or make()
+        self._made[key] = engine  # the last one used is the last one here
+        while len(self._made) > self._n_held:
+            del self._made[next(iter(self._made))]
+        return engine
+
+
 def choose_detector(
     network: Network,
     backend: Backend = Backend.auto,
@@ -93,17 +117,33 @@ def choose_detector(
     *,
     live: bool = False,
     say: Callable[[str], object] = lambda _: None,
+    engines: Engines | None = None,
 ) -> Detector:
     """A detector on the engine and with the precision wanted.
 
     `auto` takes the fastest that is installed and computes an image, and tells `say` which did
     not. On a CPU, the precision `auto` and int8 have the network pruned where a calibration says
-    how. `live` asks for the shortest time a frame rather than the most frames a second. Raises
-    DroptrackError when what was named is not to be had.
+    how. `live` asks for the shortest time a frame rather than the most frames a second. `engines`
+    are used again where one of them is what is wanted. Raises DroptrackError when what was named is
+    not to be had.
     """
+    key = (*network.key(), backend, precision, live)
+    make = partial(_choose_engine, network, backend, precision, live=live, say=say)
+    return network.detector((engines or Engines()).get(key, make))
+
+
+def _choose_engine(
+    network: Network,
+    backend: Backend,
+    precision: Precision,
+    *,
+    live: bool,
+    say: Callable[[str], object],
+) -> Engine:
+    """The engine for `choose_detector`."""
     weights = network.weights()
     if backend is not Backend.auto:
-        return network.detector(_engine(network, weights, backend, precision, live=live))
+        return _engine(network, weights, backend, precision, live=live)
     reasons = []
     for candidate in _candidates(precision):
         try:
@@ -113,7 +153,7 @@ def choose_detector(
             continue
         for reason in reasons:
             say(f"not used: {reason}")
-        return network.detector(engine)
+        return engine
     cure = "" if precision is Precision.fp16 else "; pip install 'droptrack[openvino]'"
     raise DroptrackError(
         "; ".join(reasons) or f"--precision {precision}: no engine here has it{cure}"

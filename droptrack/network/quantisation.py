@@ -5,6 +5,7 @@ input size, or at any. It has the pruning of the network (`pruning`), for 8 bits
 CPU computes in by `--precision auto`, the ranges, and what both cost in mAP.
 """
 
+import functools
 import hashlib
 import json
 import os
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from droptrack.data.files import replacing
+from droptrack.data.files import reading, replacing
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, route_sources
 from droptrack.network.pruning import Pruning, Reconstruction
@@ -69,8 +70,20 @@ class Calibration:
 
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file, in hexadecimal digits."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """The sha256 of a file, in hexadecimal digits; read once unless the file changes.
+
+    Raises DroptrackError where it cannot be read.
+    """
+    with reading(path, "a file"):
+        stat = path.stat()
+        return _sha256(path, stat.st_size, stat.st_mtime_ns, stat.st_ino)
+
+
+@functools.lru_cache(maxsize=64)
+def _sha256(path: Path, *_: int) -> str:
+    """The sha256 of a file; its size, time and number tell whether it is the same still."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def quantised_layers(cfg: Cfg) -> list[int]:

@@ -11,7 +11,7 @@ from droptrack.data.region import Region
 from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_choice
 from droptrack.detection.detector import Detector
-from droptrack.detection.engine_choice import Network, choose_detector
+from droptrack.detection.engine_choice import Engines, Network, choose_detector
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
@@ -42,19 +42,20 @@ def open_detector(
     *,
     live: bool,
     say: Say,
+    engines: Engines | None = None,
 ) -> OpenedDetector:
     """A detector for frames of a size (width, height) px; `live`: for the shortest time a frame.
 
     `samples`: some of the frames, which are asked for where the scale is to be chosen from them.
-    `say` is told how it was chosen, which engines were not used, and why. Raises DroptrackError
-    for what is not to be had as it is wanted.
+    `say` is told how it was chosen, which engines were not used, and why. `engines`: of other
+    videos. Raises DroptrackError for what is not to be had as it is wanted.
     """
     width, height = size
     network, weights = find_network(config.weights, config.cfg, config.size)
     canvas = _given_canvas(config, network, width, height)
     chosen: dict[str, Value] = {}
     if canvas is None:
-        canvas, chosen = _chosen_canvas(config, network, weights, samples(), say)
+        canvas, chosen = _chosen_canvas(config, network, weights, samples(), say, engines)
     network = resized(network, *canvas.network)
     with explained(say):
         decoding.load_loops()
@@ -73,6 +74,7 @@ def open_detector(
         config.precision,
         live=live,
         say=say,
+        engines=engines,
     )
     return OpenedDetector(
         detector=detector,
@@ -112,7 +114,12 @@ def _given_canvas(config: DetectorConfig, network: Cfg, width: int, height: int)
 
 
 def _chosen_canvas(
-    config: DetectorConfig, cfg: Cfg, weights: Path, samples: Sequence[Frame], say: Say
+    config: DetectorConfig,
+    cfg: Cfg,
+    weights: Path,
+    samples: Sequence[Frame],
+    say: Say,
+    engines: Engines | None,
 ) -> tuple[Canvas, dict[str, Value]]:
     """The canvas whose scale suits some frames best, and how it was chosen."""
     height, width = samples[0].shape[:2]
@@ -120,7 +127,7 @@ def _chosen_canvas(
     tile = resized(cfg, scale_choice.TILE, scale_choice.TILE)
     threshold = scale_choice.MIN_SCORE
     network = Network(tile, weights, threshold=threshold, max_iou=config.max_iou, dark=config.dark)
-    detector = choose_detector(network, config.backend)
+    detector = choose_detector(network, config.backend, engines=engines)
     choice = scale_choice.choose_scale(samples, detector, own.scale)
     settings: dict[str, Value] = {
         "scale_chosen_from": len(samples),

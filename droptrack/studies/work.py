@@ -1,0 +1,150 @@
+"""What a worker does with a video: track it, or say in one line why that failed."""
+
+import errno
+import platform
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TextIO
+
+from droptrack.data.formats.tables import read_csv
+from droptrack.data.report import Value
+from droptrack.data.sources.opencv_names import printable
+from droptrack.detection.engine_choice import Engines
+from droptrack.errors import DroptrackError, InterruptedRunError
+from droptrack.pipeline.run import TrackingRun, run
+from droptrack.studies.addresses import local_copy
+from droptrack.studies.jobs import LOG, Job, Kept, can_resume
+from droptrack.studies.outcome import Outcome
+from droptrack.tracking.events.lineage import Kind, find_events
+from droptrack.version import __version__
+
+ENGINES = Engines()  # of this process: its networks are compiled once, not once a video
+ONE_VIDEO = threading.Lock()  # at a time in a process, whose cores it uses
+TELL_S = 0.5  # seconds between two words of how far a video is
+ROOM = 1 << 20  # bytes: a disk with less is full
+
+Tell = Callable[[int, int], object]  # frames done, and those there are, 0 where nobody knows
+
+
+def do_video(job: Job, tell: Tell) -> Outcome:
+    """Track a video into its folder, going on with an earlier run of the same that was ended.
+
+    Raises KeyboardInterrupt where the worker is ended: the video is to be resumed then.
+    """
+    began = time.perf_counter()
+    if job.version != __version__:
+        return Outcome(
+            name=job.name,
+            reason=f"the worker on {platform.node()} has droptrack {__version__}, the batch "
+            f"{job.version}: install one version everywhere",
+        )
+    said: list[str] = []
+    kept = Kept(state="running", made_from=job.made_from)
+    try:
+        with ONE_VIDEO:
+            job.folder.mkdir(parents=True, exist_ok=True)
+            resume = can_resume(job)
+            with (job.folder / LOG).open("a", encoding="utf-8", errors="replace") as log:
+                kept.write(job.folder)
+                done, reason = _track(job, resume, _Sayer(log, said), _seldom(tell))
+        seconds = time.perf_counter() - began
+        kept = replace(
+            kept,
+            state="failed" if reason else "done",
+            reason=reason,
+            said=tuple(said),
+            seconds=seconds,
+            facts=_facts(done) if done and not reason else {},
+        )
+        kept.write(job.folder)
+        n_frames = 0 if done is None else int(str(done.report.summary["n_frames"]))
+        full = bool(reason) and _is_full(job.folder)
+        return Outcome(
+            name=job.name, reason=reason, n_frames=n_frames, seconds=seconds, disk_is_full=full
+        )
+    except OSError as error:  # of the video's folder itself
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        reason = f"{error.filename or job.folder}: {error.strerror or error}"
+        return Outcome(name=job.name, reason=printable(reason), disk_is_full=full)
+
+
+class _Sayer:
+    """Writes what a run says into the video's log, and keeps it."""
+
+    def __init__(self, log: TextIO, said: list[str]) -> None:
+        self._log, self._said = log, said
+
+    def __call__(self, text: str) -> None:
+        self._said.append(text)
+        self.note(text)
+
+    def note(self, text: str) -> None:
+        """Write into the log only."""
+        self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {printable(text)}\n")
+        self._log.flush()
+
+
+def _track(job: Job, resume: bool, say: _Sayer, tell: Tell) -> tuple[TrackingRun | None, str]:
+    """Track a job's video; also returns why that failed, in one line."""
+    say.note(f"{job.video}: droptrack {__version__} on {platform.node()}")
+    done: TrackingRun | None = None
+    try:
+        with local_copy(job.video, job.folder) as video:
+            config = replace(job.config, video=video, overwrite=True, resume=resume)
+            done = run(config, say, progress=tell, engines=ENGINES)
+        if done.problem is not None:
+            raise done.problem
+    except InterruptedRunError as error:
+        say.note(str(error))
+        raise KeyboardInterrupt from None
+    except DroptrackError as error:
+        reason = str(error)
+    except OSError as error:
+        reason = f"{error.filename or job.folder}: {error.strerror or error}"
+    except Exception as error:  # noqa: BLE001  a defect of ours, or of a package: of this video
+        import traceback
+
+        say.note(traceback.format_exc())
+        reason = (
+            f"{type(error).__name__}: {' '.join(str(error).split())[:200]}; see {job.folder / LOG}"
+        )
+    else:
+        say.note("done")
+        return done, ""
+    reason = printable(" ".join(reason.split()))
+    say.note(f"failed: {reason}")
+    return done, reason
+
+
+def _facts(done: TrackingRun) -> dict[str, Value]:
+    """What a study's summary has beside the report: how many events there were of each kind."""
+    table = read_csv(done.folder / "trajectories.csv")
+    events, _ = find_events(table.rows, table.size)
+    return {
+        f"n_{kind.replace('-', '_')}": sum(event.kind == kind for event in events) for kind in Kind
+    }
+
+
+def _seldom(tell: Tell) -> Tell:
+    """Tell how far a video is, not more often than anyone can read."""
+    last = 0.0
+
+    def sometimes(n_done: int, n_all: int) -> None:
+        nonlocal last
+        now = time.perf_counter()
+        if now - last >= TELL_S:
+            last = now
+            tell(n_done, n_all)
+
+    return sometimes
+
+
+def _is_full(folder: Path) -> bool:
+    try:
+        return shutil.disk_usage(folder).free < ROOM
+    except OSError:
+        return False

@@ -91,7 +91,7 @@ def main(
     Run again, it does what is missing, failed, or has changed.
     """
     say = functools.partial(typer.echo, err=True)
-    options = VideoOptions(_of_track(), _configured, NOT_OF_VIDEOS)
+    options = options_of_videos()
     asked = Study(sources=tuple(sources), out=out, options=options.given(context))
     hands = WorkersConfig(
         n=workers,
@@ -119,6 +119,12 @@ def main(
     typer.echo(f"results in {out}")
 
 
+def options_of_videos() -> VideoOptions:
+    """The options of ``droptrack track`` that each video of a study may have."""
+    return VideoOptions(_of_track(), _configured, NOT_OF_VIDEOS)
+
+
+@functools.cache
 def _of_track() -> Any:
     """The command ``droptrack track`` with all its options, to parse those of a video."""
     parser = new_app()

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from droptrack.data.files import read_text
-from droptrack.data.trajectories import BOX_CENTRE
-from droptrack.data.trajectories import COLUMNS as TABLE
 from droptrack.errors import DroptrackError
+from droptrack.studies.columns import COLUMNS, OF_TRAJECTORIES
 from droptrack.studies.options import Given, VideoOptions
 
 VIDEO, NAME = "video", "name"
-SUMMARY = ("state", "reason", "seconds", "version")  # columns of the results that are no numbers
 WHOLE = re.compile(r"-?(0|[1-9]\d{0,17})", re.ASCII)
 NUMBER = re.compile(
     r"[+-]?((0|[1-9]\d{0,17})(\.\d*)?|\.\d+)(e[+-]?\d{1,3})?", re.IGNORECASE | re.ASCII
@@ -79,14 +77,15 @@ def _options_of(path: Path, columns: Sequence[str], options: VideoOptions) -> di
     for column in columns:
         if column in (VIDEO, NAME):
             continue
-        if column.lower() in (*TABLE, *BOX_CENTRE, *SUMMARY) or not column:
-            raise DroptrackError(
-                f"{path}: column {column!r}: the results have one of this name; rename it"
-            )
         try:
             option_of[column] = options.name_of(column)
         except DroptrackError as error:
             raise DroptrackError(f"{path}: {error}") from None
+        is_ours = column.lower() in (*COLUMNS, *OF_TRAJECTORIES)
+        if option_of[column] is None and (is_ours or not column):
+            raise DroptrackError(
+                f"{path}: column {column!r}: the results have one of this name; rename it"
+            )
     return option_of
 
 

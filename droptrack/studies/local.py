@@ -113,9 +113,9 @@ class _Worker(threading.Thread):
                     self._told.put(advance)
             except (EOFError, OSError, pickle.UnpicklingError):
                 self._process = None
+                ended = _ended_by(process)
                 if self._ending:
                     return
-                ended = _ended_by(process)
                 if not self._deaths.died(job.name):
                     reason = f"the worker that did it {ended}, again and again at the same frame"
                     self._told.put(Outcome(name=job.name, reason=reason))
@@ -155,20 +155,22 @@ class _Worker(threading.Thread):
         assert process.stdin is not None
         with suppress(OSError):  # it is gone
             process.stdin.close()
-        try:
-            process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        _ended_by(process)
 
 
 def _ended_by(process: "subprocess.Popen[bytes]") -> str:
-    """How a process ended, in words."""
+    """Wait for the end of a process; returns how it ended, in words."""
     try:
         code = process.wait(GRACE_S)
     except subprocess.TimeoutExpired:
         process.kill()
+        process.wait()
         return "did not answer"
+    finally:
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):  # what was not sent stays so
+                    pipe.close()
     if code < 0:
         return f"was killed by signal {-code}{' (for want of memory?)' if code == -9 else ''}"
     return f"ended with {code}"

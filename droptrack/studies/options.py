@@ -1,6 +1,7 @@
 """The options of ``droptrack track``, given for all videos of a study and for each."""
 
 import difflib
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,6 +13,8 @@ Given = bool | tuple[str, ...]  # a flag, or the words after an option
 YES, NO = ("yes", "true", "1", "on", "x"), ("no", "false", "0", "off")
 # of each of these one is given: that of a single video takes the place of all that others say
 INSTEAD = (("um_per_px", "known_length"), ("size", "scale", "diameter"))
+WITH_COMMAS = ("expect_velocity", "known_length", "region")
+DECIMAL_COMMA = re.compile(r"-?\d+,\d+", re.ASCII)
 ALIKE = 0.8  # how alike a column's name and an option's are where one is taken for a slip
 
 
@@ -72,7 +75,7 @@ class VideoOptions:
             if text.lower() in NO:
                 return False
             raise DroptrackError(f"{name} {text!r}: should be yes or no")
-        if decimal_comma and "float" in parameter.type.name:
+        if decimal_comma and name not in WITH_COMMAS and DECIMAL_COMMA.fullmatch(text):
             text = text.replace(",", ".")
         words = text.split() if parameter.nargs != 1 else [text]
         return tuple(words)

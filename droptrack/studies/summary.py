@@ -10,38 +10,10 @@ import numpy as np
 
 from droptrack.data.files import read_text, replacing
 from droptrack.errors import DroptrackError
+from droptrack.studies.columns import COLUMNS, N_FIRST
 from droptrack.studies.jobs import Job, read_kept
-from droptrack.studies.tables import Types, free_values, pyarrow
+from droptrack.studies.tables import Types, pyarrow
 
-# each column, what it holds; the free columns come after the third
-COLUMNS: dict[str, type] = {
-    "name": str,
-    "video": str,
-    "state": str,
-    "n_droplets": int,
-    "diameter_px": float,
-    "diameter_um": float,
-    "polydispersity": float,
-    "frequency_per_frame": float,
-    "frequency_per_s": float,
-    "speed_px_per_frame": float,
-    "speed_um_per_s": float,
-    "n_coalescence": int,
-    "n_break_up": int,
-    "n_frames": int,
-    "n_frames_missing": int,
-    "n_long_gaps": int,
-    "n_gaps_against_flow": int,
-    "fps": float,
-    "um_per_px": float,
-    "warnings": str,
-    "reason": str,
-    "backend": str,
-    "weights_sha256": str,
-    "version": str,
-    "seconds": float,
-}
-N_FIRST = 3
 Row = dict[str, Any]
 
 
@@ -155,6 +127,3 @@ def _free(row: Row, name: str, types: Types) -> Any:
 def _names(types: Types) -> list[str]:
     own = list(COLUMNS)
     return [*own[:N_FIRST], *types, *own[N_FIRST:]]
-
-
-__all__ = ["COLUMNS", "Row", "free_values", "summarise", "write_csv", "write_parquet"]

@@ -17,7 +17,7 @@ from droptrack.detection.engine_choice import Engines
 from droptrack.errors import DroptrackError, InterruptedRunError
 from droptrack.pipeline.run import TrackingRun, run
 from droptrack.studies.addresses import local_copy
-from droptrack.studies.jobs import LOG, Job, Kept, can_resume
+from droptrack.studies.jobs import LOG, Job, Kept, can_resume, read_kept
 from droptrack.studies.outcome import Outcome
 from droptrack.tracking.events.lineage import Kind, find_events
 from droptrack.version import __version__
@@ -48,6 +48,7 @@ def do_video(job: Job, tell: Tell) -> Outcome:
         with ONE_VIDEO:
             job.folder.mkdir(parents=True, exist_ok=True)
             resume = can_resume(job)
+            _remove_rest(job.folder)
             with (job.folder / LOG).open("a", encoding="utf-8", errors="replace") as log:
                 kept.write(job.folder)
                 done, reason = _track(job, resume, _Sayer(log, said), _seldom(tell))
@@ -70,6 +71,13 @@ def do_video(job: Job, tell: Tell) -> Outcome:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         reason = f"{error.filename or job.folder}: {error.strerror or error}"
         return Outcome(name=job.name, reason=printable(reason), disk_is_full=full)
+
+
+def _remove_rest(folder: Path) -> None:
+    """Remove what is left of results whose table is gone: nobody can tell what it is of."""
+    if read_kept(folder) is not None and not (folder / "trajectories.csv").exists():
+        for name in ("report.json", "tracked.mp4"):
+            (folder / name).unlink(missing_ok=True)
 
 
 class _Sayer:

@@ -225,7 +225,7 @@ def main(*args: Any, **options: Any) -> None:
     config = configured(*args, **options)
     say = functools.partial(typer.echo, err=True)
     done = run(config, say) if isinstance(config, TrackingConfig) else run_detections(config, say)
-    done.report.print()
+    done.report.print(all_in=done.folder / "report.json")
     if done.problem is not None:
         raise done.problem
     typer.echo(f"results in {done.folder}")

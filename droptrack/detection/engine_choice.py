@@ -5,7 +5,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import cv2
@@ -141,7 +141,7 @@ def _choose_engine(
     say: Callable[[str], object],
 ) -> Engine:
     """The engine for `choose_detector`."""
-    weights = network.weights()
+    weights = cache(network.weights)
     if backend is not Backend.auto:
         return _engine(network, weights, backend, precision, live=live)
     reasons = []
@@ -149,6 +149,7 @@ def _choose_engine(
         try:
             engine = _engine(network, weights, candidate, precision, live=live)
         except DroptrackError as error:
+            weights()  # if it is they that are wrong, no engine takes them
             reasons.append(str(error))
             continue
         for reason in reasons:
@@ -185,7 +186,12 @@ def _installed(package: str) -> bool:
 
 
 def _engine(
-    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+    network: Network,
+    weights: Callable[[], Weights],
+    backend: Backend,
+    precision: Precision,
+    *,
+    live: bool,
 ) -> Engine:
     """An engine that has computed an image; raises DroptrackError with the reason if it cannot."""
     if precision is not Precision.auto and precision not in PRECISIONS[backend]:
@@ -207,7 +213,12 @@ def _engine(
 
 
 def _make(
-    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+    network: Network,
+    weights: Callable[[], Weights],
+    backend: Backend,
+    precision: Precision,
+    *,
+    live: bool,
 ) -> Engine:
     cfg, path, threshold = network.cfg, network.weights_path, network.threshold
     automatic = precision is Precision.auto
@@ -220,24 +231,33 @@ def _make(
             f"python -m droptrack.calibrate --weights {path} --size {cfg.width}x{cfg.height} "
             "--data DIR/obj.data"
         )
-    if calibration is not None:
-        cfg, weights = pruned(cfg, weights, calibration.pruning)
+
+    def smaller() -> tuple[Cfg, Weights]:
+        """The network, pruned where a calibration says how."""
+        if calibration is None:
+            return cfg, weights()
+        return pruned(cfg, weights(), calibration.pruning)
+
     if automatic:
         precision = _fastest(backend, calibrated=calibration is not None)
     engine: Engine
     if backend in (Backend.opencv, Backend.opencv_cuda):
-        engine = opencv_dnn.OpenCvEngine(cfg, weights, backend, precision, threshold)
+        engine = opencv_dnn.OpenCvEngine(*smaller(), backend, precision, threshold)
     elif backend is Backend.openvino:
         from droptrack.detection.engines.openvino import OpenVinoEngine, usable_cores
 
         ranges = calibration.ranges if calibration and precision is Precision.int8 else None
         streams = 1 if live else min(2, usable_cores())
-        engine = OpenVinoEngine(cfg, weights, precision, threshold, ranges, streams)
+        told_by = {
+            "weights": sha256_of(path),
+            "calibration": "" if calibration is None else calibration.digest(),
+        }
+        engine = OpenVinoEngine(cfg, smaller, precision, threshold, ranges, streams, told_by)
     else:
         from droptrack.detection.engines.pytorch import TorchCudaEngine, TorchEngine
 
         kind = TorchCudaEngine if backend is Backend.torch_cuda else TorchEngine
-        engine = kind(cfg, weights, precision, threshold)
+        engine = kind(*smaller(), precision, threshold)
     if calibration is not None and calibration.pruning.kept:
         engine.name += ", pruned"
     return engine

@@ -8,7 +8,6 @@ CPU computes in by `--precision auto`, the ranges, and what both cost in mAP.
 import functools
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from droptrack.data.files import reading, replacing
+from droptrack.data.files import reading, replacing, user_cache
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, route_sources
 from droptrack.network.pruning import Pruning, Reconstruction
@@ -67,6 +66,14 @@ class Calibration:
         """What int8 costs in mAP, on images as they are and degraded."""
         (fp32, fp32_degraded), (int8, int8_degraded) = self.map_fp32, self.map_int8
         return fp32 - int8, fp32_degraded - int8_degraded
+
+    def digest(self) -> str:
+        """What tells it from others, in hexadecimal digits."""
+        digest = hashlib.sha256()
+        for name, array in sorted(_to_arrays(self).items()):
+            digest.update(f"{name} {array.dtype} {array.shape} ".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
 
 
 def sha256_of(path: Path) -> str:
@@ -204,6 +211,5 @@ def _from_arrays(arrays: dict[str, Any]) -> Calibration:
 
 
 def _places(weights: Path, digest: str, size: str) -> tuple[Path, Path]:
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "droptrack"
     beside = weights.with_name(f"{weights.stem}-int8{size}.npz")
-    return beside, cache / f"{digest}-int8{size}.npz"
+    return beside, user_cache() / f"{digest}-int8{size}.npz"

@@ -5,6 +5,7 @@ import platform
 import shutil
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from droptrack.data.report import Value
 from droptrack.data.sources.opencv_names import printable
 from droptrack.detection.engine_choice import Engines
 from droptrack.errors import DroptrackError, InterruptedRunError
+from droptrack.pipeline.notes import Say
 from droptrack.pipeline.run import TrackingRun, run
 from droptrack.studies.addresses import local_copy
 from droptrack.studies.jobs import LOG, Job, Kept, can_resume, read_kept
@@ -35,42 +37,81 @@ def do_video(job: Job, tell: Tell) -> Outcome:
 
     Raises KeyboardInterrupt where the worker is ended: the video is to be resumed then.
     """
-    began = time.perf_counter()
     if job.version != __version__:
         return Outcome(
             name=job.name,
             reason=f"the worker on {platform.node()} has droptrack {__version__}, the batch "
             f"{job.version}: install one version everywhere",
         )
-    said: list[str] = []
-    kept = Kept(state="running", made_from=job.made_from)
+    began = time.perf_counter()
     try:
         with ONE_VIDEO:
-            job.folder.mkdir(parents=True, exist_ok=True)
-            resume = can_resume(job)
-            _remove_rest(job.folder)
-            with (job.folder / LOG).open("a", encoding="utf-8", errors="replace") as log:
-                kept.write(job.folder)
-                done, reason = _track(job, resume, _Sayer(log, said), _seldom(tell))
-        seconds = time.perf_counter() - began
-        kept = replace(
-            kept,
-            state="failed" if reason else "done",
-            reason=reason,
-            said=tuple(said),
-            seconds=seconds,
-            facts=_facts(done) if done and not reason else {},
-        )
-        kept.write(job.folder)
-        n_frames = 0 if done is None else int(str(done.report.summary["n_frames"]))
-        full = bool(reason) and _is_full(job.folder)
-        return Outcome(
-            name=job.name, reason=reason, n_frames=n_frames, seconds=seconds, disk_is_full=full
-        )
+            kept, n_frames, full = _do(job, _seldom(tell))
+            seconds = time.perf_counter() - began
+            replace(kept, seconds=seconds).write(job.folder)
     except OSError as error:  # of the video's folder itself
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        reason = f"{error.filename or job.folder}: {error.strerror or error}"
-        return Outcome(name=job.name, reason=printable(reason), disk_is_full=full)
+        return Outcome(name=job.name, reason=_reason(error, job), disk_is_full=_fills_disk(error))
+    return Outcome(
+        name=job.name,
+        reason=kept.reason,
+        n_frames=n_frames,
+        seconds=seconds,
+        disk_is_full=full or bool(kept.reason and _is_full(job.folder)),
+    )
+
+
+def _do(job: Job, tell: Tell) -> tuple[Kept, int, bool]:
+    """Do a job; returns what its folder is to keep, the frames, and whether a disk is full."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    resume = can_resume(job)
+    _remove_rest(job.folder)
+    said: list[str] = []
+    kept = Kept(state="running", made_from=job.made_from)
+    done: TrackingRun | None = None
+    full = False
+    with (job.folder / LOG).open("a", encoding="utf-8", errors="replace") as log:
+        kept.write(job.folder)
+        say = _Sayer(log, said)
+        say.note(f"{job.video}: droptrack {__version__} on {platform.node()}")
+        try:
+            done = _track(job, say, tell, resume=resume)
+            kept = replace(kept, state="done", facts=_facts(done))
+            say.note("done")
+        except InterruptedRunError as error:
+            say.note(str(error))
+            raise KeyboardInterrupt from None
+        except Exception as error:  # noqa: BLE001  whatever it is, it is of this video
+            if not isinstance(error, (DroptrackError, OSError)):  # a defect, of ours or a package
+                say.note(traceback.format_exc())
+            full = _fills_disk(error)
+            kept = replace(kept, state="failed", reason=_reason(error, job))
+            say.note(f"failed: {kept.reason}")
+    n_frames = 0 if done is None else int(str(done.report.summary["n_frames"]))
+    return replace(kept, said=tuple(said)), n_frames, full
+
+
+def _track(job: Job, say: Say, tell: Tell, *, resume: bool) -> TrackingRun:
+    """Track a job's video; raises DroptrackError for one that is not done to its end."""
+    with local_copy(job.video, job.folder) as video:
+        config = replace(job.config, video=video, overwrite=True, resume=resume)
+        done = run(config, say, progress=tell, engines=ENGINES)
+    if done.problem is not None:
+        raise done.problem
+    return done
+
+
+def _reason(error: Exception, job: Job) -> str:
+    """What went wrong, in one line."""
+    text = str(error)
+    if isinstance(error, OSError):
+        text = f"{error.filename or job.folder}: {error.strerror or error}"
+    elif not isinstance(error, DroptrackError):
+        text = f"{type(error).__name__}: {text[:200]}; see {job.folder / LOG}"
+    return printable(" ".join(text.split()))
+
+
+def _fills_disk(error: Exception) -> bool:
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def _remove_rest(folder: Path) -> None:
@@ -94,38 +135,6 @@ class _Sayer:
         """Write into the log only."""
         self._log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {printable(text)}\n")
         self._log.flush()
-
-
-def _track(job: Job, resume: bool, say: _Sayer, tell: Tell) -> tuple[TrackingRun | None, str]:
-    """Track a job's video; also returns why that failed, in one line."""
-    say.note(f"{job.video}: droptrack {__version__} on {platform.node()}")
-    done: TrackingRun | None = None
-    try:
-        with local_copy(job.video, job.folder) as video:
-            config = replace(job.config, video=video, overwrite=True, resume=resume)
-            done = run(config, say, progress=tell, engines=ENGINES)
-        if done.problem is not None:
-            raise done.problem
-    except InterruptedRunError as error:
-        say.note(str(error))
-        raise KeyboardInterrupt from None
-    except DroptrackError as error:
-        reason = str(error)
-    except OSError as error:
-        reason = f"{error.filename or job.folder}: {error.strerror or error}"
-    except Exception as error:  # noqa: BLE001  a defect of ours, or of a package: of this video
-        import traceback
-
-        say.note(traceback.format_exc())
-        reason = (
-            f"{type(error).__name__}: {' '.join(str(error).split())[:200]}; see {job.folder / LOG}"
-        )
-    else:
-        say.note("done")
-        return done, ""
-    reason = printable(" ".join(reason.split()))
-    say.note(f"failed: {reason}")
-    return done, reason
 
 
 def _facts(done: TrackingRun) -> dict[str, Value]:

@@ -111,8 +111,7 @@ class OpenVinoEngine:
         network.reshape([1, channels, *self._size[::-1]])
         compiled = core().compile_model(network, "CPU", self._settings)
         if self._told_by is not None:
-            exported = compiled.export_model()
-            compiled_networks.keep(self._about(channels), bytes(exported))
+            compiled_networks.keep(self._about(channels), compiled.export_model().getvalue())
         return compiled
 
     def _about(self, channels: int) -> dict[str, object]:

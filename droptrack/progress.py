@@ -112,7 +112,7 @@ def progress_bar(unit: str, *, shown: bool = True) -> Progress:
     if not (console.is_terminal or notebook):
         return _Lines(unit)
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn(unit),

@@ -59,7 +59,8 @@ def dask_workers(config: WorkersConfig, say: Say) -> Iterator["DaskWorkers"]:
     if config.cluster is not None:
         cluster = job_cluster(config)
         try:
-            cluster.scale(jobs=config.jobs)
+            # jobs that end before all is done are replaced
+            cluster.adapt(minimum_jobs=config.jobs, maximum_jobs=config.jobs)
             with Client(cluster) as client:
                 yield DaskWorkers(client, say)
         finally:

@@ -8,15 +8,12 @@ from typing import Any
 from urllib.parse import quote
 
 from droptrack.data.files import replacing
-from droptrack.errors import DroptrackError
 from droptrack.studies.jobs import Job
-from droptrack.studies.tables import Types, free_values, pyarrow
+from droptrack.studies.tables import FLAGS, Types, free_values, kind_of, pyarrow, read_rows
 
 FILE = "rows.parquet"
 STAMP = b"droptrack batch"  # the key of a partition's metadata: what it was made of
 KEY = "video"
-WHOLE = ("frame", "track_id")  # columns of whole numbers
-FLAGS = ("observed", "centre_of_mass", "at_edge")  # columns of yes and no
 
 
 def write_data_set(folder: Path, jobs: Sequence[Job], types: Types) -> None:
@@ -63,11 +60,11 @@ def _write_partition(path: Path, job: Job, columns: Sequence[str], types: Types)
     ).encode()
     if _stamp_of(path, arrow) == stamp:
         return
-    rows = _read(table_file, arrow)
+    rows = read_rows(table_file)[0]
     kinds = {int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
     found = {}
     for name in columns:
-        kind = _kind(name, arrow)
+        kind = kind_of(name)
         column = rows[name] if name in rows.column_names else arrow.nulls(len(rows), kind)
         found[name] = column.cast(arrow.int64()).cast(kind) if name in FLAGS else column.cast(kind)
     for name, value in values.items():
@@ -84,31 +81,3 @@ def _stamp_of(path: Path, arrow: Any) -> bytes | None:
     except (OSError, arrow.ArrowException):
         return None
     return (metadata or {}).get(STAMP)
-
-
-def _read(path: Path, arrow: Any) -> Any:
-    with path.open("rb") as file:
-        n_about = 0
-        while (line := file.readline()).startswith(b"#"):
-            n_about += 1
-    names = line.decode().strip().split(",")
-    try:
-        return arrow.csv.read_csv(
-            path,
-            read_options=arrow.csv.ReadOptions(skip_rows=n_about),
-            convert_options=arrow.csv.ConvertOptions(
-                column_types={
-                    name: arrow.int64() if name in (*WHOLE, *FLAGS) else arrow.float64()
-                    for name in names
-                },
-                null_values=[""],
-            ),
-        )
-    except arrow.ArrowException as error:
-        raise DroptrackError(f"{path}: cannot be read: {error}") from None
-
-
-def _kind(name: str, arrow: Any) -> Any:
-    if name in FLAGS:
-        return arrow.bool_()
-    return arrow.int64() if name in WHOLE else arrow.float64()

@@ -46,15 +46,22 @@ class Job:
         """The file, folder or address."""
         return self.config.video
 
+    @property
+    def identity(self) -> str:
+        """What all names of the video have in common."""
+        return identity(self.video)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Kept:
     """What a video's folder says of the last run.
 
-    `said`: the lines that were told meanwhile; `facts`: what the report has no place for.
+    `identity`: of the video; `said`: the lines that were told meanwhile; `facts`: what the report
+    has no place for.
     """
 
     state: State
+    identity: str
     made_from: Mapping[str, Value]
     reason: str = ""
     version: str = __version__
@@ -74,6 +81,24 @@ def read_kept(folder: Path) -> Kept | None:
         return Kept(**{**values, "said": tuple(values["said"])})
     except (DroptrackError, ValueError, TypeError, KeyError):
         return None
+
+
+def identity(video: str) -> str:
+    """What all names of one video have in common: the path that links lead to."""
+    return video if is_address(video) else os.path.realpath(video)
+
+
+def names_before(out: Path) -> dict[str, str]:
+    """The names of folders that earlier runs made, by their videos' `identity`.
+
+    Those of videos that are gone are free.
+    """
+    kept = {path.parent.name: read_kept(path.parent) for path in sorted(out.glob(f"*/{STATE}"))}
+    return {
+        one.identity: name
+        for name, one in kept.items()
+        if one is not None and (is_address(one.identity) or os.path.exists(one.identity))  # noqa: PTH110
+    }
 
 
 def job_of(name: str, folder: Path, config: TrackingConfig, free: Mapping[str, str]) -> Job:

@@ -7,8 +7,8 @@ from pathlib import PurePath
 
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.results_folder import results_name
+from droptrack.studies.jobs import identity
 from droptrack.studies.lists import Entry
-from droptrack.studies.sources import identity
 
 RESERVED = ("trajectories",)  # folders of the study itself
 PLAIN = re.compile(r"[^\x00-\x1f/\\:*?\"<>|.][^\x00-\x1f/\\:*?\"<>|]{0,120}")
@@ -23,12 +23,13 @@ def name_videos(entries: Sequence[Entry], before: Mapping[str, str]) -> list[str
     """
     names: dict[int, str] = {}
     _take_given(entries, names)
-    taken = {name.casefold() for name in names.values()} | set(RESERVED)
+    given = {name.casefold() for name in names.values()}
+    taken = {*given, *RESERVED, *(name.casefold() for name in before.values())}
     for k, entry in enumerate(entries):
         name = before.get(identity(entry.video), "")
-        if k not in names and name and name.casefold() not in taken:
+        if k not in names and name and name.casefold() not in given:
             names[k] = name
-            taken.add(name.casefold())
+            given.add(name.casefold())
     left = {k: _candidates(entry.video) for k, entry in enumerate(entries) if k not in names}
     tried = {k: next(candidates) for k, candidates in left.items()}
     while tried:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from droptrack.pipeline.notes import Say
 from droptrack.studies.data_set import write_data_set
-from droptrack.studies.jobs import Job
+from droptrack.studies.jobs import STATE, Job
 from droptrack.studies.page import write_page
 from droptrack.studies.summary import summarise, write_csv, write_parquet
 from droptrack.studies.tables import free_types, has_pyarrow
@@ -16,6 +16,9 @@ def write_results(out: Path, jobs: Sequence[Job], say: Say) -> int:
 
     Returns how many of the videos have no results.
     """
+    others = {path.parent.name for path in out.glob(f"*/{STATE}")} - {job.name for job in jobs}
+    if others:
+        say(f"{len(others)} more folders in {out} are of other videos, and in none of the tables")
     rows = [summarise(job) for job in jobs]
     types = free_types(jobs)
     write_csv(out / "summary.csv", rows, types)

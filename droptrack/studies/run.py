@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from droptrack.data.files import read_text, write_text
+from droptrack.data.files import write_text
 from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError, InterruptedRunError
 from droptrack.pipeline.notes import Say
 from droptrack.studies.choice import WorkersConfig, choose_workers
-from droptrack.studies.jobs import Job, job_of, left_to_do
+from droptrack.studies.jobs import Job, job_of, left_to_do, names_before
 from droptrack.studies.lists import Entry
 from droptrack.studies.names import name_videos
 from droptrack.studies.options import Given, VideoOptions, merged
 from droptrack.studies.outcome import Outcome
 from droptrack.studies.results import write_results
 from droptrack.studies.show_progress import BatchProgress
-from droptrack.studies.sources import find_videos, identity
+from droptrack.studies.sources import find_videos
 from droptrack.studies.workers import Advance, Note, Workers
 from droptrack.version import __version__
 
@@ -74,7 +74,7 @@ def plan(study: Study, options: VideoOptions, say: Say, *, redo: bool = False) -
     Raises DroptrackError for what cannot be as it is asked for, naming the video.
     """
     entries = find_videos(study.sources, options, say)
-    names = name_videos(entries, _names_before(study.out))
+    names = name_videos(entries, names_before(study.out))
     _say_of_clashes(entries, names, say)
     jobs = tuple(
         _job(study, options, entry, name) for entry, name in zip(entries, names, strict=True)
@@ -104,7 +104,8 @@ def do_study(
             with choose_workers(workers, say) as hands:
                 n_left = len(planned.jobs) - len(planned.to_do)
                 there = f", {n_left} are there already" if n_left else ""
-                say(f"{len(planned.to_do)} videos to do{there}; {hands.described}")
+                n = len(planned.to_do)
+                say(f"{n} video{'s' if n > 1 else ''} to do{there}; {hands.described}")
                 if whole:
                     _write_about(study, planned, options, hands.described)
                 _do(study, planned.to_do, hands, outcomes, say)
@@ -164,7 +165,6 @@ def _write_about(study: Study, planned: Planned, options: VideoOptions, describe
             {
                 "name": job.name,
                 "video": job.video,
-                "identity": identity(job.video),
                 "free": dict(job.free),
                 "made_from": dict(job.made_from),
             }
@@ -194,15 +194,6 @@ def _job(study: Study, options: VideoOptions, entry: Entry, name: str) -> Job:
         if entry.options:
             raise DroptrackError(f"{entry.where}: {error}") from None
         raise
-
-
-def _names_before(out: Path) -> dict[str, str]:
-    """The names that videos had in an earlier batch."""
-    try:
-        about = json.loads(read_text(out / ABOUT))
-        return {str(one["identity"]): str(one["name"]) for one in about["videos"]}
-    except (DroptrackError, ValueError, KeyError, TypeError):
-        return {}
 
 
 def _say_of_clashes(entries: Sequence[Entry], names: Sequence[str], say: Say) -> None:

@@ -12,6 +12,7 @@ from droptrack.data.sources.tiff_stacks import n_images
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.notes import Say
 from droptrack.studies.addresses import is_address, matches
+from droptrack.studies.jobs import identity
 from droptrack.studies.lists import Entry, read_list
 from droptrack.studies.options import VideoOptions
 
@@ -52,11 +53,6 @@ def find_videos(sources: Iterable[str], options: VideoOptions, say: Say) -> list
         else:
             raise DroptrackError(f"{source}: no such video, folder, pattern or list")
     return _each_once(entries, say)
-
-
-def identity(video: str) -> str:
-    """What two names of one video have in common."""
-    return video if is_address(video) else os.path.realpath(video)
 
 
 def _addresses(source: str) -> list[str]:

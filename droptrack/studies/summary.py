@@ -45,6 +45,7 @@ def summarise(job: Job) -> Row:
     return row | {"seconds": kept.seconds}
 
 
+NO_WARNINGS = (" px, on ", "resumed after", "compiling loops")  # which engine, and the like
 _EVENTS = ("n_coalescence", "n_break_up")
 
 
@@ -82,9 +83,9 @@ def _product(*factors: float | None) -> float | None:
 
 
 def _warnings(said: Sequence[str], video: str) -> list[str]:
-    """What a run said that its user should look at: all but which engine was used."""
+    """What a run said that its user should look at."""
     lines = [line.removeprefix(f"{video}: ") for line in said]
-    return [line for line in lines if " px, on " not in line and "resumed after" not in line]
+    return [line for line in lines if not any(text in line for text in NO_WARNINGS)]
 
 
 def write_csv(path: Path, rows: Sequence[Row], types: Types) -> None:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
 
-from droptrack.data.formats.tables import read_csv
 from droptrack.data.report import Value
 from droptrack.data.sources.opencv_names import printable
 from droptrack.detection.engine_choice import Engines
@@ -21,12 +20,14 @@ from droptrack.pipeline.run import TrackingRun, run
 from droptrack.studies.addresses import local_copy
 from droptrack.studies.jobs import LOG, Job, Kept, can_resume, read_kept
 from droptrack.studies.outcome import Outcome
+from droptrack.studies.tables import read_table
 from droptrack.tracking.events.lineage import Kind, find_events
 from droptrack.version import __version__
 
 ENGINES = Engines()  # of this process: its networks are compiled once, not once a video
 ONE_VIDEO = threading.Lock()  # at a time in a process, whose cores it uses
 TELL_S = 0.5  # seconds between two words of how far a video is
+MAX_TABLE_BYTES = 400_000_000  # in which events are looked for
 ROOM = 1 << 20  # bytes: a disk with less is full
 
 Tell = Callable[[int, int], object]  # frames done, and those there are, 0 where nobody knows
@@ -66,7 +67,7 @@ def _do(job: Job, tell: Tell) -> tuple[Kept, int, bool]:
     resume = can_resume(job)
     _remove_rest(job.folder)
     said: list[str] = []
-    kept = Kept(state="running", made_from=job.made_from)
+    kept = Kept(state="running", identity=job.identity, made_from=job.made_from)
     done: TrackingRun | None = None
     full = False
     with (job.folder / LOG).open("a", encoding="utf-8", errors="replace") as log:
@@ -138,8 +139,14 @@ class _Sayer:
 
 
 def _facts(done: TrackingRun) -> dict[str, Value]:
-    """What a study's summary has beside the report: how many events there were of each kind."""
-    table = read_csv(done.folder / "trajectories.csv")
+    """What a study's summary has beside the report: how many events there were of each kind.
+
+    Nothing of a table that would take much of the memory.
+    """
+    path = done.folder / "trajectories.csv"
+    if path.stat().st_size > MAX_TABLE_BYTES:
+        return {}
+    table = read_table(path)
     events, _ = find_events(table.rows, table.size)
     return {
         f"n_{kind.replace('-', '_')}": sum(event.kind == kind for event in events) for kind in Kind

@@ -30,7 +30,8 @@ def batch(*words: object, code: int = 0) -> str:
     result = CliRunner().invoke(app, ["batch", *map(str, words), *FAST])
     assert "Traceback" not in result.output
     assert result.exit_code == code, result.output
-    return result.stderr
+    lines = result.stderr.splitlines(keepends=True)
+    return "".join(line for line in lines if not line.startswith("videos: "))  # of slow machines
 
 
 def rows(folder: Path) -> str:
@@ -196,7 +197,7 @@ def test_a_second_run_does_only_what_is_missing_failed_or_changed(
     assert redone(out, second) == {"a", "c", "d"}
     third = times(out)
     clips(tmp_path / "d.avi", 3, 4)
-    assert "1 videos to do, 3 are there" in run("0.4 0.5 0.4 0.4")
+    assert "1 video to do, 3 are there" in run("0.4 0.5 0.4 0.4")
     assert redone(out, third) == {"d"}
     fourth = times(out)
     run("0.4 0.5 0.4 0.4", 0, "--redo")
@@ -244,7 +245,7 @@ def workers_of(process: "subprocess.Popen[str]") -> list[int]:
     return [int(pid) for path in children for pid in path.read_text().split()]
 
 
-def wait_for(happened: Callable[[], object], seconds: float = 60) -> None:
+def wait_for(happened: Callable[[], object], seconds: float = 300) -> None:
     for _ in range(int(seconds / 0.01)):
         if happened():
             return
@@ -268,7 +269,7 @@ def test_a_killed_worker_costs_nothing_but_time(clips: Clips, tmp_path: Path) ->
         wait_for(lambda log=log, n=n_bytes: log.exists() and log.stat().st_size > n)  # type: ignore[misc]
         (worker,) = workers_of(process)
         os.kill(worker, signal.SIGKILL)
-    _, said = process.communicate(timeout=120)
+    _, said = process.communicate(timeout=600)
     assert process.returncode == 0, said
     assert said.count("was killed by signal 9") == 2
     for name in "ab":
@@ -286,7 +287,7 @@ def test_an_ended_batch_leaves_no_worker_and_goes_on(clips: Clips, tmp_path: Pat
     wait_for(lambda: log.exists() and log.stat().st_size > 2_000)
     workers = workers_of(process)
     process.send_signal(signal.SIGTERM)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "interrupted after 0 of 2 videos; what was done stays" in said.splitlines()[-1]
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)

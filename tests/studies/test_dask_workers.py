@@ -60,7 +60,7 @@ def test_the_video_of_a_dead_worker_is_done_by_another(clips: Clips, tmp_path: P
         wait_for(lambda: log.exists() and log.stat().st_size > 5_000)
         (worker,) = cluster.workers.values()
         os.kill(worker.pid, signal.SIGKILL)  # its nanny starts another one
-        _, said = process.communicate(timeout=200)
+        _, said = process.communicate(timeout=600)
     assert process.returncode == 0, said
     assert rows(out / "a") == rows(tmp_path / "whole" / "a")
     assert "resumed after" in (out / "a" / LOG).read_text()

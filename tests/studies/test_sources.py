@@ -94,6 +94,7 @@ def test_a_video_keeps_its_name_when_others_come() -> None:
     assert names("/d/mon/a.avi") == ["a"]
     before = {"/d/mon/a.avi": "a"}
     assert names("/d/mon/a.avi", "/d/tue/a.avi", before=before) == ["a", "a_avi"]
+    assert names("/d/tue/a.avi", before=before) == ["a_avi"]  # not the folder of the other one
 
 
 def test_names_in_lists_are_those_of_folders() -> None:

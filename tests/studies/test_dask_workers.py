@@ -38,7 +38,8 @@ def test_a_cluster_gives_the_rows_of_this_machine(
     said = batch(
         tmp_path / "*.avi", "--out", tmp_path / "there", "--scheduler", address, code=1
     ).splitlines()
-    assert said[0] == f"4 videos to do; the Dask cluster at {address}"
+    assert said[0].startswith("Dask's dashboard: http")
+    assert said[1] == f"4 videos to do; the Dask cluster at {address}"
     assert any(line.startswith("broken: failed: ") for line in said)
     assert "1 of 4 videos failed" in said[-1]
     for k in range(3):

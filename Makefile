@@ -72,6 +72,7 @@ bench: dev
 	$(PIP) --no-deps deep-sort-realtime
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m bench.trackers
 	$(BIN)/python -m bench.training
+	$(BIN)/python -m bench.batch
 
 # damaged files, random bytes, killed runs: what must be survived, in under 30 minutes
 soak: dev

@@ -1,28 +1,40 @@
 """All commands in one: ``droptrack track``, ``train``, ``evaluate`` and so on."""
 
-from droptrack.analyse import app as analyse
-from droptrack.anchors import main as anchors
-from droptrack.calibrate import main as calibrate
-from droptrack.command_line import new_app
-from droptrack.convert import main as convert
-from droptrack.detect import main as detect
-from droptrack.evaluate import main as evaluate
-from droptrack.events import main as events
-from droptrack.export import main as export
-from droptrack.track import main as track
-from droptrack.train import main as train
+from importlib import import_module
+from typing import Any
 
-app = new_app()
-app.command("track")(track)
-app.command("detect")(detect)
-app.command("train")(train)
-app.command("convert")(convert)
-app.command("evaluate")(evaluate)
-app.command("events")(events)
-app.add_typer(analyse, name="analyse")
-app.command("calibrate")(calibrate)
-app.command("export")(export)
-app.command("anchors")(anchors)
+import typer
+from typer.core import TyperGroup
+
+COMMANDS = (
+    *("track", "batch", "detect", "train", "convert", "evaluate", "events", "analyse"),
+    *("calibrate", "export", "anchors"),
+)
+
+
+class _Commands(TyperGroup):
+    """The commands, each imported when it is asked for: together they take a second."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Their names."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """A command by its name."""
+        if cmd_name not in COMMANDS:
+            return None
+        command = typer.main.get_command(import_module(f"droptrack.{cmd_name}").app)
+        command.name = cmd_name
+        return command
+
+
+app = typer.Typer(cls=_Commands, add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.callback()
+def main() -> None:
+    """Find and track droplets in videos of flowing emulsions."""
+
 
 if __name__ == "__main__":
     app()

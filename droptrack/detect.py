@@ -83,7 +83,7 @@ def main(
         overwrite=overwrite,
     )
     done = detect_images(config, functools.partial(typer.echo, err=True))
-    done.report.print()
+    done.report.print(all_in=done.folder / "report.json")
     typer.echo(f"results in {done.folder}")
 
 

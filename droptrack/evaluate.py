@@ -70,7 +70,7 @@ def main(
     elif data is None and ground_truth is not None and result is not None:
         refuse_given(context, OF_NETWORKS, "is of networks: it needs --data")
         report = evaluate(ground_truth, result)
-        report.print(without=OTHER_UNITS)
+        report.print(without=OTHER_UNITS, all_in=json or "the file of --json FILE")
         if json is None:
             typer.echo("each droplet's errors in all units: --json FILE")
     else:

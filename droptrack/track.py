@@ -2,7 +2,7 @@
 
 import functools
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -63,9 +63,7 @@ OF_VIDEOS = (
 OF_DEEPSORT = ("max_cosine_distance", "nn_budget", "max_iou_distance")
 
 
-@app.command()
-@one_line_errors
-def main(
+def configured(
     context: typer.Context,
     video: Annotated[
         str | None,
@@ -158,9 +156,8 @@ def main(
     max_iou_distance: Annotated[
         float, typer.Option(min=0, max=1, help="DeepSORT: maximum of 1 - IoU of a match.")
     ] = TrackerConfig.max_iou_distance,
-) -> None:
+) -> TrackingConfig | DetectionsConfig:
     """Track the droplets of a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
-    say = functools.partial(typer.echo, err=True)
     units = units_from(um_per_px, known_length, fps)
     tracking = TrackerConfig(
         name=tracker,
@@ -179,55 +176,60 @@ def main(
         if video is not None or appearance is not None:
             raise DroptrackError("--detections takes the place of a video and its networks")
         refuse_given(context, OF_VIDEOS, "is of videos, and changes nothing of --detections")
-        done = run_detections(
-            DetectionsConfig(
-                detections=detections,
-                frames=frames,
-                descriptors=descriptors,
-                score=score if was_given(context, "score") else None,
-                max_frames=max_frames,
-                out=out,
-                overwrite=overwrite,
-                units=units,
-                tracker=tracking,
-            ),
-            say,
-        )
-    elif video is None or descriptors is not None or frames is not None:
-        raise DroptrackError(
-            "name a video, or a file with --detections (and --descriptors, --frames)"
-        )
-    else:
-        config = TrackingConfig(
-            video=video,
-            out=out,
-            weights=weights,
-            cfg=cfg,
-            size=size,
-            scale=None if scale is None else parse_scale(scale),
-            diameter_px=None if diameter is None else parse_diameter(diameter),
-            backend=backend,
-            precision=precision,
-            live=live,
-            score=score,
-            max_iou=max_iou,
-            dark=dark,
-            normalise=normalise,
-            region=region,
-            shape=shape,
-            batch=batch,
+        return DetectionsConfig(
+            detections=detections,
+            frames=frames,
+            descriptors=descriptors,
+            score=score if was_given(context, "score") else None,
             max_frames=max_frames,
-            annotated_video=not no_video,
-            reading=ReadOptions(
-                levels=levels, channel=channel, renumber=renumber, reconnect_s=reconnect
-            ),
+            out=out,
             overwrite=overwrite,
-            resume=resume,
             units=units,
             tracker=tracking,
         )
-        done = run(config, say)
-    done.report.print()
+    if video is None or descriptors is not None or frames is not None:
+        raise DroptrackError(
+            "name a video, or a file with --detections (and --descriptors, --frames)"
+        )
+    return TrackingConfig(
+        video=video,
+        out=out,
+        weights=weights,
+        cfg=cfg,
+        size=size,
+        scale=None if scale is None else parse_scale(scale),
+        diameter_px=None if diameter is None else parse_diameter(diameter),
+        backend=backend,
+        precision=precision,
+        live=live,
+        score=score,
+        max_iou=max_iou,
+        dark=dark,
+        normalise=normalise,
+        region=region,
+        shape=shape,
+        batch=batch,
+        max_frames=max_frames,
+        annotated_video=not no_video,
+        reading=ReadOptions(
+            levels=levels, channel=channel, renumber=renumber, reconnect_s=reconnect
+        ),
+        overwrite=overwrite,
+        resume=resume,
+        units=units,
+        tracker=tracking,
+    )
+
+
+@app.command()
+@one_line_errors
+@functools.wraps(configured)  # Typer reads the options of the function that is wrapped
+def main(*args: Any, **options: Any) -> None:
+    """Run what the options say, and print what came of it."""
+    config = configured(*args, **options)
+    say = functools.partial(typer.echo, err=True)
+    done = run(config, say) if isinstance(config, TrackingConfig) else run_detections(config, say)
+    done.report.print(all_in=done.folder / "report.json")
     if done.problem is not None:
         raise done.problem
     typer.echo(f"results in {done.folder}")

@@ -51,6 +51,11 @@ def reading(path: Path, kind: str = "text") -> Iterator[None]:
         raise DroptrackError(f"{path}: cannot be read as {kind}: {error}") from None
 
 
+def user_cache() -> Path:
+    """The folder where a user's programs keep what they can make again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "droptrack"
+
+
 def read_text(path: Path) -> str:
     """Read a text file, without the mark that some editors put before UTF-8.
 

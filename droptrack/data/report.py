@@ -11,7 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from droptrack.data.files import write_text
+from droptrack.data.sources.opencv_names import printable
 
+MAX_ROWS = 20  # of a printed table, where a file has all
 Value: TypeAlias = str | int | float | bool | list[int] | list[str] | None
 
 
@@ -25,15 +27,18 @@ class Report:
     droplets: Sequence[Mapping[str, Value]]
     gaps: Sequence[Mapping[str, Value]] | None = None  # of tracks, where there may be any
 
-    def print(self, without: Sequence[str] = ()) -> None:
-        """Print the droplets as a table, `without` some columns, and the summary, on stdout."""
+    def print(self, without: Sequence[str] = (), all_in: Path | str = "") -> None:
+        """Print the droplets as a table, `without` some columns, and the summary, on stdout.
+
+        Of long tables only the first rows are printed if there is a file `all_in` which all are.
+        """
         console = Console()
         if not console.is_terminal:
             console.width = 120  # a file or a pipe has no width of its own
         if self.droplets:
-            console.print(_table(self.title, self.droplets, without))
+            _print_table(console, self.title, self.droplets, without, all_in)
         if self.gaps:
-            console.print(_table("Bridged gaps of more than 3 frames", self.gaps))
+            _print_table(console, "Bridged gaps of more than 3 frames", self.gaps, (), all_in)
         width = max((len(key) for key in self.summary), default=0)
         for key, value in self.summary.items():
             console.print(f"{key.replace('_', ' '):{width}}  {_text(value)}", highlight=False)
@@ -51,7 +56,22 @@ class Report:
         write_text(path, json.dumps(_without_nan(content), indent=1) + "\n")
 
 
-def _table(title: str, rows: Sequence[Mapping[str, Value]], without: Sequence[str] = ()) -> Table:
+def _print_table(
+    console: Console,
+    title: str,
+    rows: Sequence[Mapping[str, Value]],
+    without: Sequence[str],
+    all_in: Path | str,
+) -> None:
+    """Print rows, of many only the first ones, and say where all are."""
+    shown = rows[:MAX_ROWS] if all_in else rows
+    console.print(_table(title, shown, without))
+    if len(shown) < len(rows):
+        text = f"{len(shown)} of {len(rows)}: all are in {printable(str(all_in))}"
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def _table(title: str, rows: Sequence[Mapping[str, Value]], without: Sequence[str]) -> Table:
     """Rows with the same keys, `without` some."""
     table = Table(title=title, title_justify="left")
     keys = [key for key in rows[0] if key not in without]

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from types import ModuleType
 
 import numpy as np
-from scipy.special import expit, logit
 
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Float32s
@@ -43,13 +42,16 @@ def decode_head(raw: Float32s, head: YoloHead, threshold: float) -> Float32s:
     [cx, cy, w, h] relative to the image, objectness, class probabilities (YOLOv3, section 2.1).
     """
     rows, columns = raw.shape[2:]
-    min_logit = logit(threshold)
+    with np.errstate(divide="ignore"):  # thresholds of 0 and 1
+        min_logit = np.log(np.float64(threshold)) - np.log1p(-threshold)
     if (loops := load_loops()) is not None:
         whole = np.ascontiguousarray(raw, np.float32)
         found = loops.decode_head(
             whole, head.anchors, head.stride, head.scale_x_y, min_logit, MAX_LOG_SIZE
         )
         return np.asarray(found)
+    from scipy.special import expit  # it takes longer to import than all else here
+
     likely = np.flatnonzero(raw[:, 4] > min_logit)
     if not len(likely):
         return np.zeros((0, raw.shape[1]), np.float32)

@@ -5,6 +5,7 @@ import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
+from functools import cache, partial
 from pathlib import Path
 
 import cv2
@@ -17,10 +18,10 @@ from droptrack.detection.engines import opencv_dnn
 from droptrack.detection.normalisation import UNCHANGED, Normalisation
 from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
-from droptrack.network.darknet_cfg import Cfg
+from droptrack.network.darknet_cfg import Cfg, cfg_text
 from droptrack.network.darknet_weights import Weights, read_weights
 from droptrack.network.pruning import pruned
-from droptrack.network.quantisation import find_calibration
+from droptrack.network.quantisation import find_calibration, sha256_of
 
 
 class Backend(StrEnum):
@@ -74,6 +75,10 @@ class Network:
         """The weights; raises DroptrackError for a file that does not fit the cfg."""
         return read_weights(self.weights_path, self.cfg)
 
+    def key(self) -> tuple[object, ...]:
+        """What an engine depends on; raises DroptrackError where there are no weights."""
+        return cfg_text(self.cfg), sha256_of(self.weights_path), self.threshold
+
     def detector(self, engine: Engine) -> Detector:
         """A detector with this network on an engine."""
         return Detector(
@@ -87,6 +92,25 @@ class Network:
         )
 
 
+class Engines:
+    """Engines that were made, so that the next video need not wait for its network again.
+
+    Holds the `n_held` that were used last. One may be used by one video at a time.
+    """
+
+    def __init__(self, n_held: int = 4) -> None:
+        self._made: dict[tuple[object, ...], Engine] = {}
+        self._n_held = n_held
+
+    def get(self, key: tuple[object, ...], make: Callable[[], Engine]) -> Engine:
+        """The engine of a key, made where there is none."""
+        engine = self._made.pop(key, None) or make()
+        self._made[key] = engine  # the last one used is the last one here
+        while len(self._made) > self._n_held:
+            del self._made[next(iter(self._made))]
+        return engine
+
+
 def choose_detector(
     network: Network,
     backend: Backend = Backend.auto,
@@ -94,27 +118,44 @@ def choose_detector(
     *,
     live: bool = False,
     say: Callable[[str], object] = lambda _: None,
+    engines: Engines | None = None,
 ) -> Detector:
     """A detector on the engine and with the precision wanted.
 
     `auto` takes the fastest that is installed and computes an image, and tells `say` which did
     not. On a CPU, the precision `auto` and int8 have the network pruned where a calibration says
-    how. `live` asks for the shortest time a frame rather than the most frames a second. Raises
-    DroptrackError when what was named is not to be had.
+    how. `live` asks for the shortest time a frame rather than the most frames a second. `engines`
+    are used again where one of them is what is wanted. Raises DroptrackError when what was named is
+    not to be had.
     """
-    weights = network.weights()
+    key = (*network.key(), backend, precision, live)
+    make = partial(_choose_engine, network, backend, precision, live=live, say=say)
+    return network.detector((engines or Engines()).get(key, make))
+
+
+def _choose_engine(
+    network: Network,
+    backend: Backend,
+    precision: Precision,
+    *,
+    live: bool,
+    say: Callable[[str], object],
+) -> Engine:
+    """The engine for `choose_detector`."""
+    weights = cache(network.weights)
     if backend is not Backend.auto:
-        return network.detector(_engine(network, weights, backend, precision, live=live))
+        return _engine(network, weights, backend, precision, live=live)
     reasons = []
     for candidate in _candidates(precision):
         try:
             engine = _engine(network, weights, candidate, precision, live=live)
         except DroptrackError as error:
+            weights()  # if it is they that are wrong, no engine takes them
             reasons.append(str(error))
             continue
         for reason in reasons:
             say(f"not used: {reason}")
-        return network.detector(engine)
+        return engine
     cure = "" if precision is Precision.fp16 else "; pip install 'droptrack[openvino]'"
     raise DroptrackError(
         "; ".join(reasons) or f"--precision {precision}: no engine here has it{cure}"
@@ -146,7 +187,12 @@ def _installed(package: str) -> bool:
 
 
 def _engine(
-    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+    network: Network,
+    weights: Callable[[], Weights],
+    backend: Backend,
+    precision: Precision,
+    *,
+    live: bool,
 ) -> Engine:
     """An engine that has computed an image; raises DroptrackError with the reason if it cannot."""
     if precision is not Precision.auto and precision not in PRECISIONS[backend]:
@@ -168,7 +214,12 @@ def _engine(
 
 
 def _make(
-    network: Network, weights: Weights, backend: Backend, precision: Precision, *, live: bool
+    network: Network,
+    weights: Callable[[], Weights],
+    backend: Backend,
+    precision: Precision,
+    *,
+    live: bool,
 ) -> Engine:
     cfg, path, threshold = network.cfg, network.weights_path, network.threshold
     automatic = precision is Precision.auto
@@ -181,24 +232,33 @@ def _make(
             f"python -m droptrack.calibrate --weights {path} --size {cfg.width}x{cfg.height} "
             "--data DIR/obj.data"
         )
-    if calibration is not None:
-        cfg, weights = pruned(cfg, weights, calibration.pruning)
+
+    def smaller() -> tuple[Cfg, Weights]:
+        """The network, pruned where a calibration says how."""
+        if calibration is None:
+            return cfg, weights()
+        return pruned(cfg, weights(), calibration.pruning)
+
     if automatic:
         precision = _fastest(backend, calibrated=calibration is not None)
     engine: Engine
     if backend in (Backend.opencv, Backend.opencv_cuda):
-        engine = opencv_dnn.OpenCvEngine(cfg, weights, backend, precision, threshold)
+        engine = opencv_dnn.OpenCvEngine(*smaller(), backend, precision, threshold)
     elif backend is Backend.openvino:
         from droptrack.detection.engines.openvino import OpenVinoEngine, usable_cores
 
         ranges = calibration.ranges if calibration and precision is Precision.int8 else None
         streams = 1 if live else min(2, usable_cores())
-        engine = OpenVinoEngine(cfg, weights, precision, threshold, ranges, streams)
+        told_by = {
+            "weights": sha256_of(path),
+            "calibration": "" if calibration is None else calibration.digest(),
+        }
+        engine = OpenVinoEngine(cfg, smaller, precision, threshold, ranges, streams, told_by)
     else:
         from droptrack.detection.engines.pytorch import TorchCudaEngine, TorchEngine
 
         kind = TorchCudaEngine if backend is Backend.torch_cuda else TorchEngine
-        engine = kind(cfg, weights, precision, threshold)
+        engine = kind(*smaller(), precision, threshold)
     if calibration is not None and calibration.pruning.kept:
         engine.name += ", pruned"
     return engine

@@ -5,9 +5,9 @@ input size, or at any. It has the pruning of the network (`pruning`), for 8 bits
 CPU computes in by `--precision auto`, the ranges, and what both cost in mAP.
 """
 
+import functools
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from droptrack.data.files import replacing
+from droptrack.data.files import reading, replacing, user_cache
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, route_sources
 from droptrack.network.pruning import Pruning, Reconstruction
@@ -67,10 +67,30 @@ class Calibration:
         (fp32, fp32_degraded), (int8, int8_degraded) = self.map_fp32, self.map_int8
         return fp32 - int8, fp32_degraded - int8_degraded
 
+    def digest(self) -> str:
+        """What tells it from others, in hexadecimal digits."""
+        digest = hashlib.sha256()
+        for name, array in sorted(_to_arrays(self).items()):
+            digest.update(f"{name} {array.dtype} {array.shape} ".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
 
 def sha256_of(path: Path) -> str:
-    """The sha256 of a file, in hexadecimal digits."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """The sha256 of a file, in hexadecimal digits; read once unless the file changes.
+
+    Raises DroptrackError where it cannot be read.
+    """
+    with reading(path, "a file"):
+        stat = path.stat()
+        return _sha256(path, stat.st_size, stat.st_mtime_ns, stat.st_ino)
+
+
+@functools.lru_cache(maxsize=64)
+def _sha256(path: Path, *_: int) -> str:
+    """The sha256 of a file; its size, time and number tell whether it is the same still."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def quantised_layers(cfg: Cfg) -> list[int]:
@@ -191,6 +211,5 @@ def _from_arrays(arrays: dict[str, Any]) -> Calibration:
 
 
 def _places(weights: Path, digest: str, size: str) -> tuple[Path, Path]:
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "droptrack"
     beside = weights.with_name(f"{weights.stem}-int8{size}.npz")
-    return beside, cache / f"{digest}-int8{size}.npz"
+    return beside, user_cache() / f"{digest}-int8{size}.npz"

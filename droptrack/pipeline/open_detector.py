@@ -11,7 +11,7 @@ from droptrack.data.region import Region
 from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_choice
 from droptrack.detection.detector import Detector, Finder
-from droptrack.detection.engine_choice import Network, choose_detector
+from droptrack.detection.engine_choice import Engines, Network, choose_detector
 from droptrack.detection.normalisation import Normalisation, normalisation_for
 from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
@@ -45,12 +45,13 @@ def open_detector(
     *,
     live: bool,
     say: Say,
+    engines: Engines | None = None,
 ) -> OpenedDetector:
     """A detector for frames of a size (width, height) px; `live`: for the shortest time a frame.
 
     `samples`: some of the frames, which are asked for where something is to be chosen from them.
-    `say` is told what was chosen, which engines were not used, and why. Raises DroptrackError for
-    what is not to be had as it is wanted.
+    `say` is told what was chosen, which engines were not used, and why. `engines`: of other videos.
+    Raises DroptrackError for what is not to be had as it is wanted.
     """
     width, height = size
     cfg, weights = find_network(config.weights, config.cfg, config.size)
@@ -64,7 +65,7 @@ def open_detector(
     chosen: dict[str, Value] = {}
     if not canvases:
         shown = [normalisation.shown(frame) for frame in frames]
-        canvas, chosen = _chosen_canvas(config, cfg, weights, shown, say)
+        canvas, chosen = _chosen_canvas(config, cfg, weights, shown, say, engines)
         canvases = [(None, canvas)]
     with explained(say):
         decoding.load_loops()
@@ -81,7 +82,9 @@ def open_detector(
             canvas=canvas,
             region=region,
         )
-        detector = choose_detector(network, config.backend, config.precision, live=live, say=say)
+        detector = choose_detector(
+            network, config.backend, config.precision, live=live, say=say, engines=engines
+        )
         levels.append((sizes, detector))
     first = canvases[0][1]
     return OpenedDetector(
@@ -141,7 +144,12 @@ def _canvas_at(scale: float, width: int, height: int) -> Canvas:
 
 
 def _chosen_canvas(
-    config: DetectorConfig, cfg: Cfg, weights: Path, samples: Sequence[Frame], say: Say
+    config: DetectorConfig,
+    cfg: Cfg,
+    weights: Path,
+    samples: Sequence[Frame],
+    say: Say,
+    engines: Engines | None,
 ) -> tuple[Canvas, dict[str, Value]]:
     """The canvas whose scale suits some frames best, and how it was chosen."""
     height, width = samples[0].shape[:2]
@@ -149,7 +157,7 @@ def _chosen_canvas(
     tile = resized(cfg, scale_choice.TILE, scale_choice.TILE)
     threshold = scale_choice.MIN_SCORE
     network = Network(tile, weights, threshold=threshold, max_iou=config.max_iou)
-    detector = choose_detector(network, config.backend)
+    detector = choose_detector(network, config.backend, engines=engines)
     choice = scale_choice.choose_scale(samples, detector, own.scale)
     settings: dict[str, Value] = {
         "scale_chosen_from": len(samples),

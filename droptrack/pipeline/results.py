@@ -14,6 +14,7 @@ from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.data.units import Units
 from droptrack.pipeline.paths import Paths, counted
+from droptrack.pipeline.paths_picture import draw_paths
 from droptrack.pipeline.threads import AnnotatedVideo
 from droptrack.tracking.recorder import Gap, Recorded
 from droptrack.tracking.session import TrackingSession
@@ -142,7 +143,5 @@ def summarise(
 
 def write_report(folder: Path, report: Report, paths: Paths, size: tuple[int, int]) -> None:
     """Write ``report.json``, and the plot ``paths.png`` of an image of `size` px."""
-    from droptrack.pipeline.plots import plot_paths
-
     report.write_json(folder / "report.json")
-    plot_paths(folder / "paths.png", paths.lines(), *size)
+    draw_paths(folder / "paths.png", paths.lines(), *size)

@@ -1,7 +1,7 @@
 """One run: a video in; trajectories, annotated video, plot and report out."""
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -16,7 +16,8 @@ from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.data.units import Units
 from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
-from droptrack.errors import DroptrackError
+from droptrack.detection.engine_choice import Engines
+from droptrack.errors import DroptrackError, InterruptedRunError
 from droptrack.interrupts import whole
 from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.network.darknet_cfg import cfg_text
@@ -40,6 +41,7 @@ OF_DETECTIONS = (
     *("backend", "network_size", "scale", "score", "max_iou", "dark", "network_sees"),
     "grey_levels",
 )
+Progress = bool | Callable[[int, int], object]
 MAX_RATE_ERROR = 0.001  # frames a second, of the annotated video, that need not be said
 
 
@@ -76,6 +78,12 @@ class _Opened:
         known = [n for n in (self.source.info.n_frames, max_frames) if n]
         return min(known, default=0)
 
+    def rates(self, config: TrackingConfig) -> dict[str, Value]:
+        """Frames a second and micrometres a pixel, None where neither user nor file says it."""
+        own = self.source.info.fps if self.source.says_fps and not self.live else None
+        fps = own if config.units.fps is None else config.units.fps
+        return {"fps": fps, "um_per_px": config.units.um_per_px}
+
     def units(self, config: TrackingConfig) -> Units:
         """What the user says a pixel and a frame are; the video's frames a second by default."""
         units = config.units
@@ -84,13 +92,21 @@ class _Opened:
         return units
 
 
-def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) -> TrackingRun:
+def run(
+    config: TrackingConfig,
+    say: Say = to_stderr,
+    *,
+    progress: Progress = True,
+    engines: Engines | None = None,
+) -> TrackingRun:
     """Track the droplets of a video into a folder.
 
-    `say` is told which engine is used, and what went wrong on the way. Whatever ends the run, what
-    was tracked until then is kept. Raises DroptrackError where it cannot begin.
+    `say` is told which engine is used, and what went wrong on the way. `progress`: whether to show
+    it, or who is told the frames done and those there are, 0 where nobody knows. `engines`: those
+    of earlier videos, see `Engines`. Whatever ends the run, what was tracked until then is kept.
+    Raises DroptrackError where it cannot begin.
     """
-    opened = _open(config, say)
+    opened = _open(config, say, engines)
     folder = _make_folder(config)
     for note in opened.source.notes:
         say(printable(note))
@@ -113,7 +129,7 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     with whole():
         write_report(folder, report, results.paths, size)
     if problem is not None:
-        problem = DroptrackError(f"{problem}; what was tracked until there is in {folder}")
+        problem = type(problem)(f"{problem}; what was tracked until there is in {folder}")
     else:
         _say_what_is_odd(config, opened.source, results, n_missing, say)
         for doubt in odd:
@@ -121,7 +137,7 @@ def run(config: TrackingConfig, say: Say = to_stderr, *, progress: bool = True) 
     return TrackingRun(folder, report, problem)
 
 
-def _open(config: TrackingConfig, say: Say) -> _Opened:
+def _open(config: TrackingConfig, say: Say, engines: Engines | None) -> _Opened:
     """Everything that can refuse to work, before anything is written."""
     tracker, tracker_settings = make_tracker(config.tracker)
     describe = choose_descriptor(config.tracker)
@@ -130,7 +146,7 @@ def _open(config: TrackingConfig, say: Say) -> _Opened:
     frames = source.info
     size = (frames.width, frames.height)
     samples = partial(sample_frames, source, N_SAMPLES)
-    network = open_detector(config, size, samples, live=live, say=say)
+    network = open_detector(config, size, samples, live=live, say=say, engines=engines)
     return _Opened(
         source=source,
         live=live,
@@ -183,6 +199,7 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "max_iou": config.max_iou,
         "dark": config.dark,
         "region": config.region or "",
+        **opened.rates(config),
         **opened.tracker_settings,
     }
 
@@ -194,7 +211,7 @@ def _track(
     about: Mapping[str, Value],
     say: Say,
     *,
-    progress: bool,
+    progress: Progress,
 ) -> tuple[Results, DroptrackError | None]:
     """Track frame by frame into the folder's files; also tells what ended it too early."""
     problem: DroptrackError | None = None
@@ -224,9 +241,9 @@ def _track(
             shape=config.shape,
         )
         try:
-            _show_progress(done, opened.n_frames(config.max_frames), shown=progress)
+            _show_progress(done, opened.n_frames(config.max_frames), progress)
         except KeyboardInterrupt:
-            problem = DroptrackError(f"interrupted after {results.n_frames} frames")
+            problem = InterruptedRunError(f"interrupted after {results.n_frames} frames")
         except DroptrackError as error:
             problem = problem or error
         if problem is None and opened.source.live and not _stopped_as_asked(config, results):
@@ -297,9 +314,13 @@ def _annotated_video(
     return AnnotatedVideo(VideoWriter(path, held, "mp4v"), times, units, shrink=shrink)
 
 
-def _show_progress(done: Iterator[int], total: int, *, shown: bool) -> None:
+def _show_progress(done: Iterator[int], total: int, shown: Progress) -> None:
     """Go through the numbers of frames done, with a progress bar."""
     began = time.perf_counter()
+    if callable(shown):
+        for n in done:
+            shown(n, total)
+        return
     with progress_bar("frames", shown=shown) as bar:
         task = bar.add_task("tracking", total=total or None, note="")
         for n in done:

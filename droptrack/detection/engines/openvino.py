@@ -3,7 +3,7 @@
 import functools
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 
@@ -15,9 +15,9 @@ from droptrack.data.arrays import Float32s, Pixels
 from droptrack.data.frames import Frame, grey_planes
 from droptrack.detection.decoding import decode_heads
 from droptrack.detection.detector import Computed
-from droptrack.network.darknet_cfg import Cfg, yolo_heads
+from droptrack.detection.engines import compiled_networks
+from droptrack.network.darknet_cfg import Cfg, cfg_text, yolo_heads
 from droptrack.network.darknet_weights import Weights
-from droptrack.network.onnx_export import onnx_model
 from droptrack.network.quantisation import KERNEL_MAX, UNSATURATED_MAX, Quantisation, Range
 
 # in int8, what is not quantised, such as the last maps, is computed in fp32
@@ -27,9 +27,12 @@ INFERENCE_PRECISION = {"fp32": "f32", "bf16": "bf16", "int8": "f32"}
 class OpenVinoEngine:
     """A network in OpenVINO.
 
+    `weights`: those of `cfg`, or what gives a cfg and its weights once they are to be compiled.
     `ranges` of the layers' outputs, for int8 (`quantisation.Calibration`). `streams`: how many
-    images are computed at once, each by a part of the cores: one for the shortest time from
-    image to boxes, two for more images a second. Grey frames take a network with one channel.
+    images are computed at once, each by a part of the cores: one for the shortest time from image
+    to boxes, two for more images a second. `told_by`: what tells weights and ranges from others,
+    where compiled networks are to be kept from one run to the next. Grey frames take a network
+    with one channel.
     """
 
     opencv_threads = 1
@@ -37,15 +40,17 @@ class OpenVinoEngine:
     def __init__(
         self,
         cfg: Cfg,
-        weights: Weights,
+        weights: Weights | Callable[[], tuple[Cfg, Weights]],
         precision: str,
         threshold: float,
         ranges: Mapping[int, Range] | None = None,
         streams: int = 1,
+        told_by: Mapping[str, str] | None = None,
     ) -> None:
         self.name = f"openvino {precision}"
         self.parallel = streams
         self._cfg, self._weights, self._ranges = cfg, weights, ranges
+        self._told_by = told_by
         self._size = (cfg.width, cfg.height)
         self._heads, self._threshold = yolo_heads(cfg), threshold
         self._settings = {
@@ -77,21 +82,50 @@ class OpenVinoEngine:
     def _network(self, channels: int) -> "Compiled":
         """The network for grey or RGB images, compiled when it is needed."""
         if channels not in self._networks:
-            quantisation = None
-            if self._ranges is not None:
-                quantisation = Quantisation(self._ranges, kernel_max(), pool_bytes=True)
-            model = onnx_model(
-                self._cfg,
-                self._weights,
-                pixels=True,
-                grey=channels == 1,
-                quantisation=quantisation,
-            )
-            network = core().read_model(model.SerializeToString())
-            network.reshape([1, channels, *self._size[::-1]])
-            compiled = core().compile_model(network, "CPU", self._settings)
+            compiled = self._kept(channels) or self._compiled(channels)
             self._networks[channels] = Compiled(compiled, deque(maxlen=self.parallel))
         return self._networks[channels]
+
+    def _kept(self, channels: int) -> openvino.CompiledModel | None:
+        """The network as an earlier run compiled it; None where none is kept."""
+        if self._told_by is None:
+            return None
+        network = compiled_networks.find(self._about(channels))
+        try:
+            return network and core().import_model(network, "CPU", self._settings)
+        except RuntimeError:  # OpenVINO does not take it
+            return None
+
+    def _compiled(self, channels: int) -> openvino.CompiledModel:
+        """The network, compiled, and kept for the next run."""
+        from droptrack.network.onnx_export import onnx_model
+
+        cfg, weights = (self._cfg, self._weights)
+        if callable(weights):
+            cfg, weights = weights()
+        quantisation = None
+        if self._ranges is not None:
+            quantisation = Quantisation(self._ranges, kernel_max(), pool_bytes=True)
+        model = onnx_model(cfg, weights, pixels=True, grey=channels == 1, quantisation=quantisation)
+        network = core().read_model(model.SerializeToString())
+        network.reshape([1, channels, *self._size[::-1]])
+        compiled = core().compile_model(network, "CPU", self._settings)
+        if self._told_by is not None:
+            compiled_networks.keep(self._about(channels), compiled.export_model().getvalue())
+        return compiled
+
+    def _about(self, channels: int) -> dict[str, object]:
+        """All that a compiled network depends on."""
+        return {
+            **(self._told_by or {}),
+            "cfg": cfg_text(self._cfg),
+            "channels": channels,
+            "kernel_max": None if self._ranges is None else kernel_max(),
+            "settings": self._settings,
+            "openvino": openvino.__version__,
+            "cpu": core().get_property("CPU", "FULL_DEVICE_NAME"),
+            "computes": sorted(core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")),
+        }
 
 
 @dataclass
@@ -171,6 +205,8 @@ def layer_outputs(
     cfg: Cfg, weights: Weights, layers: Sequence[int], frames: Iterable[Frame]
 ) -> Iterator[dict[int, Float32s]]:
     """For each frame what layers put out (1, C, H, W), in fp32, by layer."""
+    from droptrack.network.onnx_export import onnx_model
+
     model = core().read_model(onnx_model(cfg, weights, taps=layers).SerializeToString())
     compiled = core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     for frame in frames:

@@ -1,15 +1,18 @@
 """What the commands do, as functions: for scripts and notebooks."""
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TypeVar
 
+from droptrack.data.formats.contours import ContoursFormat
 from droptrack.data.units import Units
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.detection.scale import parse_scale
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, TrackingConfig
+from droptrack.pipeline.report_events import wanted_events
 from droptrack.pipeline.run import TrackingRun, run
 from droptrack.tracking.choice import TrackerConfig, TrackerName
 
@@ -40,8 +43,15 @@ def track(
     overwrite: bool = False,
     resume: bool = False,
     shape: bool = True,
+    names: str | Path | None = None,
+    cells: str | None = None,
+    contours: str | None = None,
     um_per_px: float | None = None,
     fps: float | None = None,
+    pixels_only: bool = False,
+    line: Sequence[str] = (),
+    stays: Sequence[str] = (),
+    plots: str = "",
     tracker: str | TrackerConfig = TrackerName.droplet,
     progress: bool = True,
 ) -> TrackingRun:
@@ -83,7 +93,12 @@ def track(
             overwrite=overwrite,
             resume=resume,
             shape=shape,
+            names=_path(names),
+            cells=cells,
+            contours=None if contours is None else _one_of(ContoursFormat, "contours", contours),
             units=Units(um_per_px=um_per_px, fps=fps),
+            pixels_only=pixels_only,
+            events=wanted_events(line, stays, plots),
             tracker=tracker,
         ),
         progress=progress,

@@ -12,12 +12,15 @@ from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.detection.scale import parse_diameter, parse_scale
 from droptrack.options import (
     BackendOption,
+    CellsOption,
     CfgOption,
     ChannelOption,
+    ContoursOption,
     DarkOption,
     DiameterOption,
     LevelsOption,
     MaxIouOption,
+    NamesOption,
     NormaliseOption,
     OverwriteOption,
     PrecisionOption,
@@ -56,6 +59,9 @@ def main(
     levels: LevelsOption = None,
     channel: ChannelOption = None,
     shape: ShapeOption = True,
+    names: NamesOption = None,
+    cells: CellsOption = None,
+    contours: ContoursOption = None,
     overwrite: OverwriteOption = False,
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Write no annotated images.")
@@ -79,6 +85,9 @@ def main(
         region=region,
         reading=ReadOptions(levels=levels, channel=channel),
         shape=shape,
+        names=names,
+        cells=cells,
+        contours=contours,
         annotated=not no_images,
         overwrite=overwrite,
     )

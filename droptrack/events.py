@@ -10,7 +10,14 @@ from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.formats.choice import FORMATS, format_of
 from droptrack.data.formats.table import Table, described
 from droptrack.errors import DroptrackError
-from droptrack.options import FpsOption, KnownLengthOption, UmPerPxOption, units_from
+from droptrack.options import (
+    FpsOption,
+    KnownLengthOption,
+    LineOption,
+    PlotsOption,
+    UmPerPxOption,
+    units_from,
+)
 from droptrack.pipeline.report_events import EventsConfig, write_events
 
 app = new_app()
@@ -23,10 +30,7 @@ def main(
         Path, typer.Argument(help="trajectories.csv, or a file that droptrack convert reads.")
     ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
-    line: Annotated[
-        list[str] | None,
-        typer.Option(metavar="X1,Y1,X2,Y2", help="Count what passes this line; repeat for more."),
-    ] = None,
+    line: LineOption = None,
     region: Annotated[
         list[str] | None,
         typer.Option(
@@ -34,13 +38,7 @@ def main(
             help="Stays in a rectangle by its corners, or in a polygon; repeat for more.",
         ),
     ] = None,
-    plots: Annotated[
-        str,
-        typer.Option(
-            help="Figures to draw as PDF and PNG: all, or some of sizes,deformation,speed,"
-            "kymograph,paths."
-        ),
-    ] = "",
+    plots: PlotsOption = "",
     um_per_px: UmPerPxOption = None,
     known_length: KnownLengthOption = None,
     fps: FpsOption = None,

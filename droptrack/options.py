@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from droptrack.data.formats.contours import ContoursFormat
 from droptrack.data.units import Units, parse_known_length
 from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
@@ -56,6 +57,37 @@ RegionOption = Annotated[
 ShapeOption = Annotated[
     bool, typer.Option("--shape/--no-shape", help="Measure outlines: sizes and shapes.")
 ]
+ContoursOption = Annotated[
+    ContoursFormat | None,
+    typer.Option(
+        help="Write the outlines, too: contours.parquet, or contours.json as COCO has it."
+    ),
+]
+LineOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="X1,Y1,X2,Y2", help="Count what passes this line; repeat for more."),
+]
+PlotsOption = Annotated[
+    str,
+    typer.Option(
+        help="Figures to draw as PDF and PNG: all, or some of sizes,deformation,speed,kymograph,"
+        "paths."
+    ),
+]
+NamesOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Of a network with several classes, their names: a .names file, or an obj.data."
+    ),
+]
+CellsOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="N,N,N...",
+        help="How many cells droplets of each class have, such as 0,1,2+: counts are compared with "
+        "a Poisson distribution.",
+    ),
+]
 DarkOption = Annotated[
     bool, typer.Option("--dark", help="Droplets are darker than their surroundings.")
 ]
@@ -91,7 +123,9 @@ ReconnectOption = Annotated[
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the results of an earlier run of the same.")
 ]
-UmPerPxOption = Annotated[float | None, typer.Option(help="Micrometres a pixel.")]
+UmPerPxOption = Annotated[
+    float | None, typer.Option(help="Micrometres a pixel; default: what the file says.")
+]
 KnownLengthOption = Annotated[
     str | None,
     typer.Option(

@@ -14,16 +14,21 @@ from droptrack.detection.scale import parse_diameter, parse_scale
 from droptrack.errors import DroptrackError
 from droptrack.options import (
     BackendOption,
+    CellsOption,
     CfgOption,
     ChannelOption,
+    ContoursOption,
     DarkOption,
     DiameterOption,
     FpsOption,
     KnownLengthOption,
     LevelsOption,
+    LineOption,
     MaxIouOption,
+    NamesOption,
     NormaliseOption,
     OverwriteOption,
+    PlotsOption,
     PrecisionOption,
     ReconnectOption,
     RegionOption,
@@ -39,6 +44,7 @@ from droptrack.options import (
 )
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, DetectionsConfig, TrackingConfig
 from droptrack.pipeline.from_detections import run_detections
+from droptrack.pipeline.report_events import wanted_events
 from droptrack.pipeline.run import run
 from droptrack.tracking.choice import TrackerConfig, TrackerName, parse_velocity
 
@@ -58,7 +64,8 @@ OF_VIDEOS = (
         "reconnect",
         "appearance_weights",
     ),
-    "appearance_size",
+    *("appearance_size", "region", "shape", "names", "cells", "contours"),
+    *("pixels_only", "line", "stays", "plots"),
 )
 OF_DEEPSORT = ("max_cosine_distance", "nn_budget", "max_iou_distance")
 
@@ -107,6 +114,18 @@ def configured(
     normalise: NormaliseOption = None,
     region: RegionOption = None,
     shape: ShapeOption = True,
+    names: NamesOption = None,
+    cells: CellsOption = None,
+    contours: ContoursOption = None,
+    line: LineOption = None,
+    stays: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X1,Y1,X2,Y2[,X3,Y3...]",
+            help="Stays in a rectangle by its corners, or in a polygon; repeat for more.",
+        ),
+    ] = None,
+    plots: PlotsOption = "",
     batch: Annotated[int, typer.Option(min=1, help="Frames the network takes at once.")] = 1,
     max_frames: Annotated[
         int, typer.Option(min=0, help="Stop after so many frames; 0: never.")
@@ -119,6 +138,10 @@ def configured(
     resume: ResumeOption = False,
     um_per_px: UmPerPxOption = None,
     known_length: KnownLengthOption = None,
+    pixels_only: Annotated[
+        bool,
+        typer.Option("--pixels-only", help="No micrometres, though the file says a pixel's size."),
+    ] = False,
     fps: FpsOption = None,
     tracker: Annotated[
         TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
@@ -159,6 +182,8 @@ def configured(
 ) -> TrackingConfig | DetectionsConfig:
     """Track the droplets of a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
     units = units_from(um_per_px, known_length, fps)
+    if pixels_only and units.um_per_px is not None:
+        raise DroptrackError("give a pixel's size or --pixels-only, not both")
     tracking = TrackerConfig(
         name=tracker,
         max_age=max_age,
@@ -208,6 +233,9 @@ def configured(
         normalise=normalise,
         region=region,
         shape=shape,
+        names=names,
+        cells=cells,
+        contours=contours,
         batch=batch,
         max_frames=max_frames,
         annotated_video=not no_video,
@@ -217,6 +245,8 @@ def configured(
         overwrite=overwrite,
         resume=resume,
         units=units,
+        pixels_only=pixels_only,
+        events=wanted_events(line or (), stays or (), plots),
         tracker=tracking,
     )
 
@@ -230,6 +260,8 @@ def main(*args: Any, **options: Any) -> None:
     say = functools.partial(typer.echo, err=True)
     done = run(config, say) if isinstance(config, TrackingConfig) else run_detections(config, say)
     done.report.print(all_in=done.folder / "report.json")
+    if done.events is not None:
+        done.events.print()
     if done.problem is not None:
         raise done.problem
     typer.echo(f"results in {done.folder}")

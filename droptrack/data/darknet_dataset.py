@@ -33,19 +33,11 @@ class DataSet:
 
 def read_data_file(path: Path) -> DataSet:
     """Read ``obj.data`` and the lists it names; raises DroptrackError for what is missing."""
-    options = {}
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        key, equals, value = line.partition("=")
-        if not equals:
-            raise DroptrackError(f"{path}:{number}: expected key = value, found {line!r}")
-        options[key.strip()] = value.strip()
+    options = _read_options(path)
     for key in ("classes", "train", "names"):
         if key not in options:
             raise DroptrackError(f"{path}: has no line {key} = ...")
-    names = tuple(read_text(_resolve(path, options["names"])).split("\n"))
-    names = tuple(name.strip() for name in names if name.strip())
+    names = _read_names(_resolve(path, options["names"]))
     if str(len(names)) != options["classes"]:
         raise DroptrackError(
             f"{path}: classes = {options['classes']}, but {options['names']} has {len(names)} names"
@@ -53,6 +45,22 @@ def read_data_file(path: Path) -> DataSet:
     train = _read_list(path, options["train"])
     valid = _read_list(path, options["valid"]) if "valid" in options else train
     return DataSet(path, names, train, valid)
+
+
+def read_names(path: Path) -> tuple[str, ...]:
+    """The names of classes: of a file with a line a class, or of the one that obj.data names.
+
+    Raises DroptrackError for a file that is missing, or names none.
+    """
+    if path.suffix == ".data":
+        options = _read_options(path)
+        if "names" not in options:
+            raise DroptrackError(f"{path}: has no line names = ...")
+        path = _resolve(path, options["names"])
+    names = _read_names(path)
+    if not names:
+        raise DroptrackError(f"{path}: names no class")
+    return names
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:
@@ -141,6 +149,24 @@ def read_scenes(data: DataSet) -> dict[Path, str]:
 def image_name(split: str, index: int) -> str:
     """The path of an image, relative to the data set's folder."""
     return f"{split}/{index:06d}.jpg"
+
+
+def _read_options(path: Path) -> dict[str, str]:
+    """The lines ``key = value`` of obj.data."""
+    options = {}
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        key, equals, value = line.partition("=")
+        if not equals:
+            raise DroptrackError(f"{path}:{number}: expected key = value, found {line!r}")
+        options[key.strip()] = value.strip()
+    return options
+
+
+def _read_names(path: Path) -> tuple[str, ...]:
+    lines = read_text(path).split("\n")
+    return tuple(line.strip() for line in lines if line.strip())
 
 
 def _read_list(data_file: Path, name: str) -> tuple[Path, ...]:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 COLUMNS = ("frame", "track_id", "x", "y", "w", "h", "score", "observed")
 BOX_CENTRE = ("box_x", "box_y")  # further columns of ours
+TEXT, WHOLE = ("class_name",), ("class_id",)  # further columns of text, and of whole numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,7 +174,7 @@ class TrajectoryWriter:
     def write(self, rows: Trajectories, extra: Iterable[NDArray[Any]] = ()) -> None:
         """Append rows, with one array (M,) of numbers for each further column.
 
-        Six decimals: a millionth of a pixel.
+        Six decimals: a millionth of a pixel. Of columns of TEXT, arrays of text.
         """
         columns = [
             rows.frame,
@@ -185,9 +186,8 @@ class TrajectoryWriter:
             rows.observed,
             *extra,
         ]
-        kinds = ["%.6f" if column.dtype.kind == "f" else "%d" for column in columns]
-        line = ",".join(kinds) + "\n"
-        values = zip(*(column.tolist() for column in columns), strict=True)
+        line = ",".join(kind_of(column) for column in columns) + "\n"
+        values = zip(*map(as_written, columns), strict=True)
         self._file.writelines([line % row for row in values])
         self._file.flush()
 
@@ -202,6 +202,22 @@ class TrajectoryWriter:
         self.close()
 
 
+def kind_of(column: NDArray[Any]) -> str:
+    """How values of a column (M,) are written: six decimals, whole numbers, or text."""
+    return {"f": "%.6f", "U": "%s"}.get(column.dtype.kind, "%d")
+
+
+def as_written(column: NDArray[Any]) -> list[Any]:
+    """The values of a column (M,) for `kind_of`; text in quotes where a CSV needs them."""
+    values: list[Any] = column.tolist()
+    if column.dtype.kind != "U":
+        return values
+    return [
+        '"' + one.replace('"', '""') + '"' if {'"', ",", "\n", "#"} & set(one) else one
+        for one in values
+    ]
+
+
 def write_trajectories(path: Path, rows: Trajectories, about: Mapping[str, object]) -> None:
     """Write a whole trajectories file: box centres, then the rows' further columns."""
     with TrajectoryWriter(path, about, (*BOX_CENTRE, *rows.columns)) as writer:
@@ -211,13 +227,10 @@ def write_trajectories(path: Path, rows: Trajectories, about: Mapping[str, objec
 def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     """Read a trajectories file: the rows, sorted, and what its ``#`` lines say.
 
-    Without columns box_x and box_y, the box is taken to be centred at (x, y). Raises DroptrackError
-    naming the line that is wrong.
+    Without columns box_x and box_y, the box is taken to be centred at (x, y). Columns are numbers
+    but for those of TEXT. Raises DroptrackError naming the line that is wrong.
     """
-    about, header, table = _read_table(path)
-    if table.shape[1] != len(header):
-        raise DroptrackError(f"{path}: rows should have {len(header)} columns as the first line")
-    column = dict(zip(header, table.T, strict=True))
+    about, column = _read_table(path)
     centre = [column.pop(name, column[name[-1]]) for name in BOX_CENTRE]
     try:
         rows = sorted_trajectories(
@@ -228,15 +241,19 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
             boxes=np.column_stack([*centre, column["w"], column["h"]]),
             scores=column["score"],
             observed=column["observed"].astype(bool),
-            columns={name: column[name] for name in column if name not in COLUMNS},
+            columns={
+                name: one.astype(np.int64) if name in WHOLE else one
+                for name, one in column.items()
+                if name not in COLUMNS
+            },
         )
     except ValueError as error:
         raise DroptrackError(f"{path}: {error}") from None
     return rows, about
 
 
-def _read_table(path: Path) -> tuple[dict[str, str], tuple[str, ...], Floats]:
-    """What ``#`` lines say, the names of the columns, and the rows (M, columns).
+def _read_table(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
+    """What ``#`` lines say, and the columns (M,) by their names.
 
     Line by line: a file may have millions of them.
     """
@@ -252,13 +269,32 @@ def _read_table(path: Path) -> tuple[dict[str, str], tuple[str, ...], Floats]:
         header = tuple(line.rstrip("\n").split(","))
         if header[: len(COLUMNS)] != COLUMNS:
             raise DroptrackError(f"{path}: should have the columns {','.join(COLUMNS)}")
-        first = file.readline()
-        if not first:
-            return about, header, np.empty((0, len(header)))
         try:
-            table = np.loadtxt(itertools.chain([first], file), delimiter=",", ndmin=2)
+            return about, _columns(path, header, file)
         except UnicodeDecodeError:
             raise
         except ValueError as error:
             raise DroptrackError(f"{path}: after line {start}: {error}") from None
-    return about, header, table
+
+
+def _columns(path: Path, header: tuple[str, ...], rows: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """The columns of a table by their names; raises ValueError where there are others."""
+    kinds = ["U1" if name in TEXT else "f8" for name in header]
+    lines = iter(rows)
+    first = next(lines, "")
+    if not first:
+        return {name: np.zeros(0, kind) for name, kind in zip(header, kinds, strict=True)}
+    lines = itertools.chain([first], lines)
+    if "U1" not in kinds:
+        table = np.loadtxt(lines, delimiter=",", ndmin=2)
+        if table.shape[1] != len(header):
+            raise DroptrackError(
+                f"{path}: rows should have {len(header)} columns as the first line"
+            )
+        return dict(zip(header, table.T, strict=True))
+    every = list(lines)
+    quoted: dict[str, Any] = {"delimiter": ",", "quotechar": '"', "comments": None, "ndmin": 1}
+    for k in [k for k, kind in enumerate(kinds) if kind == "U1"]:
+        kinds[k] = np.loadtxt(every, np.str_, usecols=k, **quoted).dtype.str  # as long as needed
+    whole = np.loadtxt(every, list(zip(header, kinds, strict=True)), **quoted)
+    return {name: np.ascontiguousarray(whole[name]) for name in header}

@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 
 from droptrack.compiled import compiled_twin
-from droptrack.data.arrays import Float32s
+from droptrack.data.arrays import Bools, Float32s, Floats
 from droptrack.data.detections import Detections
 from droptrack.detection.suppression import (
     MIN_SHARE_OF_SCORE,
@@ -81,17 +81,19 @@ def select(
     """Decoded rows (N, 5 + C) of all heads -> the detections in an image of the given size.
 
     A score is objectness times the best class's probability; those up to the threshold are dropped,
-    then the duplicates (`suppress_duplicates`).
+    then the duplicates (`suppress_duplicates`). With `greedy`, as Darknet has it, a box counts for
+    every class whose score is above the threshold.
     """
     if (loops := load_loops()) is not None:
         whole = np.ascontiguousarray(rows, np.float32)
         settings = loops.Suppression(max_iou, MIN_SHARE_OUTSIDE, MIN_SHARE_OF_SCORE)
         return Detections(*loops.select(whole, width, height, threshold, greedy, settings))
-    scores = rows[:, 4:5] * rows[:, 5:]  # (N, C)
-    class_ids = scores.argmax(axis=1)
-    best = scores[np.arange(len(scores)), class_ids].astype(np.float64)
-    sized = (rows[:, 2:4] > 0).all(axis=1) & np.isfinite(rows).all(axis=1)
-    kept = np.flatnonzero((best > threshold) & sized)
+    scores: Floats = (rows[:, 4:5] * rows[:, 5:]).astype(np.float64)  # (N, C)
+    sized = np.asarray((rows[:, 2:4] > 0).all(axis=1) & np.isfinite(rows).all(axis=1))
+    counted: Bools = np.greater(scores, threshold) & sized[:, None]
+    if not greedy:
+        counted &= np.arange(scores.shape[1]) == scores.argmax(axis=1)[:, None]
+    kept, class_ids = np.nonzero(counted)
     boxes = rows[kept, :4].astype(np.float64) * [width, height, width, height]
-    found = Detections(boxes, best[kept], class_ids[kept])
+    found = Detections(boxes, scores[kept, class_ids], class_ids)
     return suppress_duplicates(found, max_iou, greedy=greedy)

@@ -43,9 +43,9 @@ def _overlap(boxes: Floats, i: int, k: int) -> float:
 
 @njit(**FAST)
 def _suppress(
-    boxes: Floats, class_ids: Rows, order: Rows, max_iou: float, dropped: Bools, best: Rows
+    boxes: Floats, groups: Rows, order: Rows, max_iou: float, dropped: Bools, best: Rows
 ) -> None:
-    """Put into `best` (N,) the first in order that each box is a duplicate of, or itself.
+    """Put into `best` (N,) the first of its group in order that each box duplicates, or itself.
 
     Boxes are gone through in `order`, without those that were dropped.
     """
@@ -57,7 +57,7 @@ def _suppress(
             continue
         for k in kept[:n_kept]:
             apart = abs(boxes[k, 0] - boxes[i, 0]) >= (boxes[k, 2] + boxes[i, 2]) / 2
-            if not apart and class_ids[k] == class_ids[i] and _overlap(boxes, k, i) > max_iou:
+            if not apart and groups[k] == groups[i] and _overlap(boxes, k, i) > max_iou:
                 best[i] = k
                 break
         if best[i] == i:
@@ -129,26 +129,31 @@ def select(
     rows: Float32s, width: int, height: int, threshold: float, greedy: bool, settings: Suppression
 ) -> tuple[Floats, Floats, Rows]:
     """`decoding.select`: boxes (K, 4) px, scores (K,) and classes (K,), the best first."""
-    boxes = np.empty((len(rows), 4))
-    scores, class_ids = np.empty(len(rows)), np.empty(len(rows), np.int64)
-    n, last = 0, rows.shape[1]
+    last = rows.shape[1]
+    most = len(rows) * (last - 5 if greedy else 1)
+    boxes, scores, class_ids = np.empty((most, 4)), np.empty(most), np.empty(most, np.int64)
+    n = 0
     for row in range(len(rows)):
         likeliest = 5
         finite = True
         for k in range(last):
             finite &= np.isfinite(rows[row, k])
             likeliest = k if k > 5 and rows[row, k] > rows[row, likeliest] else likeliest
-        score = np.float64(rows[row, 4] * rows[row, likeliest])
-        if finite and score > threshold and rows[row, 2] > 0 and rows[row, 3] > 0:
-            for k, size in ((0, width), (1, height), (2, width), (3, height)):
-                boxes[n, k] = rows[row, k] * np.float64(size)
-            scores[n], class_ids[n] = score, likeliest - 5
-            n += 1
+        if not (finite and rows[row, 2] > 0 and rows[row, 3] > 0):
+            continue
+        for one in range(5, last):
+            score = np.float64(rows[row, 4] * rows[row, one])
+            if score > threshold and (greedy or one == likeliest):
+                for k, size in ((0, width), (1, height), (2, width), (3, height)):
+                    boxes[n, k] = rows[row, k] * np.float64(size)
+                scores[n], class_ids[n] = score, one - 5
+                n += 1
     boxes, scores, class_ids = boxes[:n], scores[:n], class_ids[:n]
     order, best = np.argsort(-scores, kind="mergesort"), np.empty(n, np.int64)
     dropped = np.zeros(n, np.bool_)
-    _suppress(boxes, class_ids, order, settings.max_iou, dropped, best)
+    groups = class_ids if greedy else np.zeros(n, np.int64)
+    _suppress(boxes, groups, order, settings.max_iou, dropped, best)
     while not greedy and _drop_between(boxes, scores, settings, dropped, best):
-        _suppress(boxes, class_ids, order, settings.max_iou, dropped, best)
+        _suppress(boxes, groups, order, settings.max_iou, dropped, best)
     kept = order[(best[order] == order) & ~dropped[order]]
     return boxes[kept], scores[kept], class_ids[kept]

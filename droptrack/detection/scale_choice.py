@@ -141,7 +141,7 @@ def _look(frame: Frame, detector: Detector, default: float) -> dict[float, _Look
         together = Detections(
             np.concatenate([part.boxes for part in parts]),
             np.concatenate([part.scores for part in parts]),
-            np.concatenate([part.class_ids for part in parts]),
+            np.zeros(sum(len(part) for part in parts), np.int64),  # whatever its class
         )
         seen = suppress_duplicates(together, detector.max_iou, greedy=True)  # tiles overlap
         looks[scale] = _Look(

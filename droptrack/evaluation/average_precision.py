@@ -1,6 +1,6 @@
 """How good detections are: average precision by Darknet's definition and by COCO's."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +27,7 @@ class DetectionScores:
     average_iou: float  # of what was found above the score, false ones count as 0
     n_ground_truths: int
     n_detections: int
+    of_classes: Mapping[int, float] = field(default_factory=dict)  # average precision of each
 
 
 @dataclass
@@ -74,15 +75,16 @@ def average_precision(
     ious = _concatenated(part for counts in classes.values() for part in counts.ious)
     counted = ious[scores > score]
     n_hits = int((counted > 0).sum())
-    areas = [_area(counts) for counts in classes.values() if counts.n_ground_truths]
+    areas = {k: _area(counts) for k, counts in classes.items() if counts.n_ground_truths}
     return DetectionScores(
-        average_precision=float(np.mean(areas)),
+        average_precision=float(np.mean(list(areas.values()))),
         precision=n_hits / len(counted) if len(counted) else np.nan,
         recall=n_hits / n_truths,
         f1=2 * n_hits / (len(counted) + n_truths),
         average_iou=float(counted.mean()) if len(counted) else np.nan,
         n_ground_truths=n_truths,
         n_detections=len(scores),
+        of_classes=areas,
     )
 
 

@@ -111,28 +111,41 @@ def evaluate_network(
         "dark": dark,
         "score_of_precision_recall_f1_iou": OPERATING_SCORE,
     }
-    return network_report(pairs, read_scenes(data), settings)
+    return network_report(pairs, read_scenes(data), settings, data.names)
 
 
 def network_report(
-    pairs: Mapping[Path, Pair], scenes: Mapping[Path, str], settings: Mapping[str, Value]
+    pairs: Mapping[Path, Pair],
+    scenes: Mapping[Path, str],
+    settings: Mapping[str, Value],
+    names: Sequence[str] = (),
 ) -> Report:
-    """Precision on images, in all and for each scene, by Darknet's definition and by COCO's."""
+    """Precision on images, in all and for each scene, by Darknet's definition and by COCO's.
+
+    And for each class, where `names` has several.
+    """
     by_scene: dict[str, list[Pair]] = {}
     for path, pair in pairs.items():
         if path in scenes:
             by_scene.setdefault(scenes[path], []).append(pair)
     rows = [{"scene": scene, **_scores(mine)} for scene, mine in sorted(by_scene.items())]
-    return Report("Scenes", settings, _scores(list(pairs.values())), rows)
+    return Report("Scenes", settings, _scores(list(pairs.values()), names), rows)
 
 
-def _scores(pairs: Sequence[Pair]) -> dict[str, Value]:
+def _scores(pairs: Sequence[Pair], names: Sequence[str] = ()) -> dict[str, Value]:
     result = average_precision(pairs)
     coco = coco_average_precision(pairs) if find_spec("hotcoco") else (float("nan"),) * 2
+    of_classes: dict[str, Value] = {}
+    if len(names) > 1:
+        of_classes["ap_50_of_class"] = [
+            f"{names[k] if k < len(names) else k} {area:.4f}"
+            for k, area in sorted(result.of_classes.items())
+        ]
     return {
         "n_images": len(pairs),
         "n_droplets": result.n_ground_truths,
         "map_50": result.average_precision,
+        **of_classes,
         "precision": result.precision,
         "recall": result.recall,
         "f1": result.f1,

@@ -1,14 +1,15 @@
 """Frame and boxes -> all that is measured of the droplets: centre of mass, outline, size, shape."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.frames import Frame
+from droptrack.data.region import Region
 from droptrack.measurement import centre_of_mass, outlines
 from droptrack.measurement.centre_of_mass import centres_and_levels, grey_of, nearest_boxes
-from droptrack.measurement.outlines import trace_outlines
+from droptrack.measurement.outlines import DIRECTIONS, N_RAYS, Outlines, trace_outlines
 from droptrack.measurement.shapes import (
     AT_EDGE,
     COLUMNS,
@@ -30,13 +31,15 @@ class Measured:
 
     centres (N, 2) px: of mass where `measured` (N,), else the box's, or of the whole droplet that
     the image cuts; boxes (N, 4): of the outline, else those given; shapes (N, len(COLUMNS)): by
-    their names in COLUMNS, NaN where they were not measured, or (N, 0).
+    their names in COLUMNS, NaN where they were not measured, or (N, 0); outlines (N, N_RAYS, 2) px:
+    the places of the edges, where there are sizes, gaps bridged, else NaN, or (N, 0, 2).
     """
 
     centres: Floats
     measured: Bools
     boxes: Floats
     shapes: Floats
+    outlines: Floats
 
 
 def load_loops() -> None:
@@ -45,8 +48,13 @@ def load_loops() -> None:
     outlines.load_loops()
 
 
-def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Measured:
+def measure_droplets(
+    frame: Frame, boxes: Floats, *, shape: bool = True, region: Region | None = None
+) -> Measured:
     """Measure the droplets in boxes (N, 4) px of a frame (H, W, 3); without `shape` no outlines.
+
+    `region`: what is to be seen of the frame; droplets that reach beyond it are cut, as by the
+    image's edge. None: all of it.
 
     A disc of 20 px, whose box is a little off:
 
@@ -60,20 +68,28 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
     grey = grey_of(frame)
     centres, measured, levels = centres_and_levels(grey, boxes)
     if not shape:
+        nothing = np.zeros((len(boxes), 0, 2))
         return Measured(
-            centres=centres, measured=measured, boxes=boxes, shapes=np.zeros((len(boxes), 0))
+            centres=centres,
+            measured=measured,
+            boxes=boxes,
+            shapes=nothing[..., 0],
+            outlines=nothing,
         )
     traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes))
-    radii = without_outliers(traced.radii)
-    whole, good = whole_outlines(radii)
+    traced = _its_own(traced, boxes, region)
+    whole, good = whole_outlines(traced.radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)
+    edges = traced.origins[:, None] + whole[..., None] * DIRECTIONS
     shapes[:, :OUTLINE_SEEN], middles, outline_boxes = measure_shapes(centres, whole)
     another = good & ~_alike(outline_boxes, boxes)  # as the shell round a core
     shapes[another, :OUTLINE_SEEN] = np.nan
     good &= ~another
-    seen = np.isfinite(radii)
+    seen = np.isfinite(traced.radii)
     shapes[:, OUTLINE_SEEN] = seen.mean(axis=1)
-    cut = _cut(boxes, traced.cut & ~seen, seen, (grey.shape[1], grey.shape[0]))
+    ends_at_edge = at_edge(boxes, (grey.shape[1], grey.shape[0]), region)
+    # rays that leave the image before they meet an edge tell; the box, where no edge is seen at all
+    cut = np.where(seen.any(axis=1), (traced.cut & ~seen).any(axis=1), ends_at_edge)
     shapes[cut, :OUTLINE_SEEN] = np.nan
     shapes[:, AT_EDGE] = cut
     good &= ~cut
@@ -81,15 +97,9 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
     centres[ringed] = middles[ringed]
     measured |= ringed
     if cut.any():
-        of_cut = outlines.Outlines(
-            origins=traced.origins[cut],
-            radii=radii[cut],
-            cut=traced.cut[cut],
-            rings=traced.rings[cut],
-        )
-        circles = whole_circles(of_cut, boxes[cut])
-        told = np.isfinite(circles[:, 0])
         rows = np.flatnonzero(cut)
+        circles = whole_circles(traced[rows], boxes[rows])
+        told = np.isfinite(circles[:, 0])
         centres[rows[told]] = circles[told]
         measured = measured & ~cut
     return Measured(
@@ -97,6 +107,7 @@ def measure_droplets(frame: Frame, boxes: Floats, *, shape: bool = True) -> Meas
         measured=measured,
         boxes=np.where(good[:, None], outline_boxes, boxes),
         shapes=shapes,
+        outlines=np.where(good[:, None, None], edges, np.nan),
     )
 
 
@@ -108,19 +119,34 @@ def _alike(outlined: Floats, boxes: Floats) -> Bools:
     return np.asarray(alike & near.all(axis=1))
 
 
-def _cut(boxes: Floats, cut: Bools, seen: Bools, size: tuple[int, int]) -> Bools:
-    """Which droplets (N,) the image cuts: rays that leave it before they meet an edge tell.
+def _its_own(traced: Outlines, boxes: Floats, region: Region | None) -> Outlines:
+    """Outlines without edges that stick out, and without those at and beyond a region's border."""
+    radii, cut = without_outliers(traced.radii), traced.cut
+    if region is not None:
+        beyond = _beyond(traced, boxes, region)
+        radii, cut = np.where(beyond, np.nan, radii), cut | beyond
+    return replace(traced, radii=radii, cut=cut)
 
-    Where no edge is seen at all, boxes (N, 4) that end at the image's edge do.
-    """
-    return np.where(seen.any(axis=1), cut.any(axis=1), at_edge(boxes, size))
+
+def _beyond(traced: Outlines, boxes: Floats, region: Region) -> Bools:
+    """Which rays (N, K) leave a region before they meet an edge: where there is none, the box's."""
+    share = np.abs(DIRECTIONS[None] / (boxes[:, None, 2:] / 2)).max(axis=2)
+    reach = np.where(np.isfinite(traced.radii), traced.radii, 1 / share) + EDGE_PX
+    ends = traced.origins[:, None] + reach[..., None] * DIRECTIONS
+    return ~region.contains(ends.reshape(-1, 2)).reshape(reach.shape)
 
 
-def at_edge(boxes: Floats, size: tuple[int, int]) -> Bools:
+def at_edge(boxes: Floats, size: tuple[int, int], region: Region | None = None) -> Bools:
     """Whether boxes (N, 4) px end at the edge of an image of a size, so that droplets are cut.
+
+    Or the ellipses in them reach beyond a region.
 
     >>> at_edge(np.array([[50.0, 50, 20, 20], [9.5, 50, 20, 20]]), (100, 100)).tolist()
     [False, True]
     """
     low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
-    return np.asarray((low < EDGE_PX).any(axis=1) | (high > np.array(size) - EDGE_PX).any(axis=1))
+    cut = (low < EDGE_PX).any(axis=1) | (high > np.array(size) - EDGE_PX).any(axis=1)
+    if region is not None:
+        ends = boxes[:, None, :2] + (boxes[:, None, 2:] / 2 + EDGE_PX) * DIRECTIONS
+        cut |= ~region.contains(ends.reshape(-1, 2)).reshape(-1, N_RAYS).all(axis=1)
+    return np.asarray(cut)

@@ -61,6 +61,14 @@ class Outlines:
     cut: Bools
     rings: Bools
 
+    def __getitem__(self, rows: Rows) -> "Outlines":
+        return Outlines(
+            origins=self.origins[rows],
+            radii=self.radii[rows],
+            cut=self.cut[rows],
+            rings=self.rings[rows],
+        )
+
     def points(self) -> Floats:
         """The places (N, N_RAYS, 2) px of the edges."""
         return np.asarray(self.origins[:, None] + self.radii[..., None] * DIRECTIONS)

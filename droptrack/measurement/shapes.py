@@ -14,7 +14,9 @@ COLUMNS = (
     *("circularity", "deformation", "outline_seen", "at_edge"),
 )
 PRODUCTS = np.column_stack([DIRECTIONS**2, DIRECTIONS.prod(axis=1)])
-DIAMETER, OUTLINE_SEEN, AT_EDGE = map(COLUMNS.index, ("diameter_px", "outline_seen", "at_edge"))
+AREA, DIAMETER, OUTLINE_SEEN, AT_EDGE = map(
+    COLUMNS.index, ("area_px2", "diameter_px", "outline_seen", "at_edge")
+)
 MIN_SEEN = 0.5  # share of rays that must meet an edge for a droplet to be measured
 MAX_GAP = N_RAYS // 6  # rays in a row that may meet none
 OUTLIER_RAYS = 4  # an edge that is off those so many rays before and after it is not the droplet's,

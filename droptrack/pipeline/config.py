@@ -3,9 +3,11 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from droptrack.data.formats.contours import ContoursFormat
 from droptrack.data.units import Units
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.pipeline.report_events import EventsConfig
 from droptrack.pipeline.results_folder import results_name
 from droptrack.tracking.choice import TrackerConfig
 
@@ -26,7 +28,9 @@ class DetectorConfig:
     `normalise`: show the network grey frames of full contrast (`detection.normalisation`); None:
     the bundled model only, which learned them so. `region`: where droplets count, a polygon or an
     image, see `data.region.Region.read`; None: everywhere. `shape`: measure the droplets' outlines,
-    for their sizes and shapes.
+    for their sizes and shapes. `names`: of the classes of a network with several, and `cells`, how
+    many cells droplets of each have, see `pipeline.classes.classes_of`. `contours`: write the
+    outlines to a file of this format.
     """
 
     weights: Path | None = None
@@ -42,6 +46,9 @@ class DetectorConfig:
     normalise: bool | None = None
     region: str | None = None
     shape: bool = True
+    names: Path | None = None
+    cells: str | None = None
+    contours: ContoursFormat | None = None
 
     @property
     def normalises(self) -> bool:
@@ -59,8 +66,8 @@ class TrackingConfig(DetectorConfig):
     takes at once. `max_frames`: stop after so many; 0: never. `reading`: how to read what can be
     read in several ways. `overwrite`: the results of an earlier run of the same video. `resume`:
     one that was ended too early, whatever ended it. `units`: what a
-    pixel and a frame are, for columns in micrometres and seconds; frames a second are the video's
-    own by default.
+    pixel and a frame are, for columns in micrometres and seconds; by default what the file says,
+    but for pixels where `pixels_only` is set. `events`: what to look for in the tracks afterwards.
     """
 
     video: str
@@ -73,6 +80,8 @@ class TrackingConfig(DetectorConfig):
     overwrite: bool = False
     resume: bool = False
     units: Units = field(default_factory=Units)
+    pixels_only: bool = False
+    events: EventsConfig | None = None
     tracker: TrackerConfig = field(default_factory=TrackerConfig)
 
     @property

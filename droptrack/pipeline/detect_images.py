@@ -6,6 +6,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -15,19 +16,29 @@ import cv2
 import numpy as np
 import PIL.Image
 
-from droptrack.data.arrays import Bools, Floats
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections
+from droptrack.data.field_stop import find_field_stop
 from droptrack.data.files import replacing
+from droptrack.data.formats.contours import (
+    ContourFile,
+    Contours,
+    ContourWriter,
+    check_contours,
+)
 from droptrack.data.frames import Frame
+from droptrack.data.region import Region
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
 from droptrack.data.video import IMAGE_SUFFIXES, ReadOptions, Video, image_files
 from droptrack.detection.normalisation import normalisation_for
 from droptrack.errors import DroptrackError
 from droptrack.measurement.droplets import Measured, at_edge, measure_droplets
-from droptrack.measurement.shapes import AT_EDGE, DIAMETER
+from droptrack.measurement.shapes import AREA, AT_EDGE, DIAMETER
 from droptrack.measurement.shapes import COLUMNS as SHAPE
+from droptrack.network.bundled import find_network
 from droptrack.network.quantisation import sha256_of
+from droptrack.pipeline.classes import CLASS_NAME, Classes, classes_of
 from droptrack.pipeline.config import ImagesConfig
 from droptrack.pipeline.drawing import draw_boxes
 from droptrack.pipeline.notes import Say, to_stderr
@@ -76,20 +87,24 @@ def detect_images(
     Raises DroptrackError for a source that cannot be read.
     """
     began = time.perf_counter()
+    check_contours(config.contours, shape=config.shape)
     detectors: dict[tuple[int, int], OpenedDetector] = {}
     normalise = _normalised if config.normalises else _as_it_is  # each image by its own contrast
     of_detector = replace(config, normalise=False)
     images = read_images(config.sources, config.reading)
     first = next(images)  # what cannot be opened is refused before anything is written
+    cfg, _ = find_network(config.weights, config.cfg)
+    classes = classes_of(cfg, config.names, config.cells)
     _refuse_other_results(config)
     config.out.mkdir(parents=True, exist_ok=True)
     with (
+        _contour_writer(config, classes) as contours,
         replacing(config.out / "detections.csv") as partial,
         partial.open("w", newline="", encoding="utf-8") as file,
         progress_bar("images", shown=progress) as bar,
     ):
         annotated = config.out / "annotated" if config.annotated else None
-        results = _Results(annotated, file, shape=config.shape)
+        results = _Results(annotated, file, classes, contours, shape=config.shape)
         for image in bar.track(chain([first], images), description="detecting"):
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
@@ -97,8 +112,8 @@ def detect_images(
                 detectors[size] = open_detector(of_detector, size, samples, live=False, say=say)
             seen, how = normalise(image.frame)
             (found,) = detectors[size].detector.detect([seen])
-            results.add(image, found, how)
-    settings = _settings(config, detectors)
+            results.add(image, found, how, detectors[size].region)
+    settings = _settings(config, detectors) | (classes.settings() if classes else {})
     report = results.report(settings, seconds=time.perf_counter() - began)
     report.write_json(config.out / "report.json")
     if results.diameters:
@@ -138,27 +153,48 @@ def _sources(config: ImagesConfig) -> list[str]:
 class _Results:
     """The table and the annotated images, filled image by image, and what is said of them."""
 
-    def __init__(self, annotated: Path | None, table: TextIO, *, shape: bool) -> None:
-        self._shape = shape
+    def __init__(
+        self,
+        annotated: Path | None,
+        table: TextIO,
+        classes: Classes | None,
+        contours: ContourWriter | None,
+        *,
+        shape: bool,
+    ) -> None:
+        self._shape, self._classes, self._contours = shape, classes, contours
+        self._n_droplets = 0
+        self._class_ids: list[int] = []  # of droplets that no edge cuts
         self.diameters: list[float] = []  # of droplets that no edge cuts, px
         self._annotated, self._names = annotated, Counter[str]()
         self._rows: list[dict[str, Value]] = []
         self._writer = csv.writer(table, lineterminator="\n")
-        self._writer.writerow(COLUMNS + (SHAPE[:AT_EDGE] if shape else ()))
+        further = SHAPE[:AT_EDGE] * shape + (CLASS_NAME,) * (classes is not None)
+        self._writer.writerow(COLUMNS + further)
         if annotated is not None:
             annotated.mkdir(exist_ok=True)
 
-    def add(self, image: Image, found: Detections, seen: str) -> None:
-        """Take the droplets of the next image; `seen`: what the network was shown of it."""
-        measured = measure_droplets(image.frame, found.boxes, shape=self._shape)
+    def add(self, image: Image, found: Detections, seen: str, region: Region | None) -> None:
+        """Take the droplets of the next image.
+
+        `seen`: what the network was shown of it; `region`: where droplets count.
+        """
+        if region is None and (stop := find_field_stop([image.frame])):
+            region = stop.region
+        measured = measure_droplets(image.frame, found.boxes, shape=self._shape, region=region)
         if self._shape:
             cut, diameters = measured.shapes[:, AT_EDGE] == 1, measured.shapes[:, DIAMETER]
             diameters = diameters[np.isfinite(diameters)]
         else:
-            cut = at_edge(found.boxes, (image.frame.shape[1], image.frame.shape[0]))
+            cut = at_edge(found.boxes, (image.frame.shape[1], image.frame.shape[0]), region)
             diameters = np.sqrt(found.boxes[~cut, 2:].prod(axis=1))
-        self._writer.writerows(_table(image, found, measured, cut))
+        order = np.argsort(found.boxes[:, 0], kind="stable")  # from the left to the right
+        self._writer.writerows(_table(image, found, measured, cut, order, self._classes))
+        if self._contours is not None:
+            self._contours.write(_contours(image, found, measured, order, self._n_droplets))
+        self._n_droplets += len(found)
         self.diameters += diameters.tolist()
+        self._class_ids += found.class_ids[~cut].tolist()
         self._rows.append(
             {
                 "image": str(image.source),
@@ -176,9 +212,10 @@ class _Results:
         """One row an image, and the sizes of all droplets."""
         summary: dict[str, Value] = {
             "n_images": len(self._rows),
-            "n_droplets": sum(int(str(row["n_droplets"])) for row in self._rows),
+            "n_droplets": self._n_droplets,
             "n_at_edge": sum(int(str(row["n_at_edge"])) for row in self._rows),
             **_sizes(np.array(self.diameters)),
+            **(self._classes.counts(self._class_ids) if self._classes else {}),
             "seconds": seconds,
         }
         return Report("Images", settings, summary, self._rows)
@@ -188,7 +225,8 @@ class _Results:
         self._names[image.stem] += 1
         n = self._names[image.stem]
         path = folder / f"{image.stem}{f'-{n}' if n > 1 else ''}.jpg"
-        if not cv2.imwrite(str(path), draw_boxes(image.frame, found)):
+        names = self._classes.names if self._classes else ()
+        if not cv2.imwrite(str(path), draw_boxes(image.frame, found, names)):
             raise DroptrackError(f"{path}: cannot be written; is the disk full?")
 
 
@@ -245,17 +283,58 @@ def _image_size(path: Path) -> tuple[int, int] | None:
         return None
 
 
+def _contour_writer(
+    config: ImagesConfig, classes: Classes | None
+) -> AbstractContextManager[ContourWriter | None]:
+    """What takes the outlines of images, where they are wanted."""
+    if config.contours is None:
+        return nullcontext()
+    return ContourFile(
+        folder=config.out,
+        kind=config.contours,
+        about={"made by": f"droptrack {__version__}, droptrack.detect"},
+        id_name="row",
+        classes=classes.names if classes else (),
+        images=True,
+    ).open()
+
+
+def _contours(
+    image: Image, found: Detections, measured: Measured, order: Rows, n_before: int
+) -> Contours:
+    """Of droplets with an outline; their identities are the rows of the table, from 0."""
+    seen = np.isfinite(measured.outlines[order]).all(axis=(1, 2))
+    some = order[seen]
+    return Contours(
+        image=str(image.source),
+        frame=image.number,
+        size=(image.frame.shape[1], image.frame.shape[0]),
+        ids=n_before + np.flatnonzero(seen),
+        points=measured.outlines[some],
+        boxes=measured.boxes[some],
+        areas=measured.shapes[some, AREA],
+        scores=found.scores[some],
+        class_ids=found.class_ids[some],
+    )
+
+
 def _table(
-    image: Image, found: Detections, measured: Measured, cut: Bools
+    image: Image,
+    found: Detections,
+    measured: Measured,
+    cut: Bools,
+    order: Rows,
+    classes: Classes | None,
 ) -> Iterator[list[object]]:
-    """One row a droplet, from the left to the right."""
-    for i in np.argsort(found.boxes[:, 0], kind="stable").tolist():
+    """One row a droplet, in this order."""
+    for i in order.tolist():
         box_x, box_y, w, h = (f"{value:.6f}" for value in measured.boxes[i].tolist())
         x, y = (f"{value:.6f}" for value in measured.centres[i].tolist())
         shape = [f"{value:.6f}" for value in measured.shapes[i, :AT_EDGE].tolist()]
         score, class_id = f"{found.scores[i]:.6f}", int(found.class_ids[i])
         row = [image.source, image.number, x, y, w, h, score, class_id, int(cut[i])]
-        yield [*row, box_x, box_y, int(measured.measured[i]), *shape]
+        named = [classes.name_of(class_id)] if classes is not None else []
+        yield [*row, box_x, box_y, int(measured.measured[i]), *shape, *named]
 
 
 def _sizes(diameters: Floats) -> dict[str, Value]:

@@ -1,7 +1,8 @@
 """Boxes, IDs and fading trails on frames."""
 
 import colorsys
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import cv2
@@ -18,6 +19,11 @@ Frame = NDArray[np.uint8]
 TRAIL_FRAMES = 40
 TEXT_PX = 15
 BOX_COLOUR = (60, 140, 255)  # BGR
+# of classes, BGR, told apart by the colour-blind, too (Okabe & Ito 2008)
+CLASS_COLOURS = (
+    *((0, 159, 230), (233, 180, 86), (115, 158, 0), (66, 228, 240)),
+    *((167, 121, 204), (0, 94, 213), (178, 114, 0)),
+)
 MAX_SMALL_PX = 700  # of an image whose boxes are drawn thinner
 
 
@@ -27,12 +33,23 @@ def colour_of(track_id: int) -> tuple[int, int, int]:
     return int(255 * blue), int(255 * green), int(255 * red)
 
 
-class Annotator:
-    """Draws frame after frame, and remembers the trails; with a scale bar where it is known."""
+def colour_of_class(class_id: int) -> tuple[int, int, int]:
+    """The BGR colour of a class."""
+    known = class_id < len(CLASS_COLOURS)
+    return CLASS_COLOURS[class_id] if known else colour_of(class_id)
 
-    def __init__(self, units: Units = PIXELS) -> None:
-        self._units = units
+
+class Annotator:
+    """Draws frame after frame, and remembers the trails; with a scale bar where it is known.
+
+    Where there are `classes`, their names, each has a colour, and a droplet that of the class that
+    it had most often so far, which is the last value of its rows.
+    """
+
+    def __init__(self, units: Units = PIXELS, classes: Sequence[str] = ()) -> None:
+        self._units, self._classes = units, classes
         self._trails: dict[int, list[tuple[int, float, float]]] = {}
+        self._votes: dict[int, Counter[int]] = {}
 
     def draw(self, index: int, frame: Frame, rows: Iterable[Row]) -> Frame:
         """A copy of the frame (H, W, 3) with the box, ID and trail of every row."""
@@ -40,18 +57,27 @@ class Annotator:
         rows = list(rows)
         for row in rows:
             self._trails.setdefault(row.track_id, []).append((index, *row.values[:2].tolist()))
+            votes = self._votes.setdefault(row.track_id, Counter())
+            if self._classes and np.isfinite(row.values[-1]):
+                votes[int(row.values[-1])] += 1
         for track_id, trail in list(self._trails.items()):
             recent = [point for point in trail if point[0] > index - TRAIL_FRAMES]
             if recent:
                 self._trails[track_id] = recent
-                _draw_trail(image, recent, index, colour_of(track_id))
+                _draw_trail(image, recent, index, self._colour(track_id))
             else:
-                del self._trails[track_id]
+                del self._trails[track_id], self._votes[track_id]
         for row in rows:
-            _draw_box(image, row)
+            _draw_box(image, row, self._colour(row.track_id))
+        draw_labels(image, [(name, colour_of_class(k)) for k, name in enumerate(self._classes)])
         if self._units.um_per_px is not None:
             draw_scale_bar(image, self._units.um_per_px)
         return image
+
+    def _colour(self, track_id: int) -> tuple[int, int, int]:
+        """A track's own, or that of its class so far."""
+        votes = self._votes[track_id].most_common(1)
+        return colour_of_class(votes[0][0]) if votes else colour_of(track_id)
 
 
 def draw_scale_bar(image: Frame, um_per_px: float) -> None:
@@ -69,16 +95,36 @@ def draw_scale_bar(image: Frame, um_per_px: float) -> None:
         image[y : y + high, x : x + wide] = label
 
 
-def draw_boxes(frame: Frame, found: Detections) -> Frame:
-    """A copy of a frame (H, W, 3) with the boxes of its droplets, and their number."""
+def draw_boxes(frame: Frame, found: Detections, classes: Sequence[str] = ()) -> Frame:
+    """A copy of a frame (H, W, 3) with the boxes of its droplets, and their number.
+
+    Where there are `classes`, their names, in the colours of these, and with the number of each.
+    """
     image = np.ascontiguousarray(frame).copy()
     thickness = 1 if max(image.shape) < MAX_SMALL_PX else 2
-    for left, top, right, bottom in xyxy_from_boxes(found.boxes).round().astype(int).tolist():
-        cv2.rectangle(image, (left, top), (right, bottom), BOX_COLOUR, thickness)
-    label = _label(len(found))
-    height, width = min(label.shape[0], image.shape[0]), min(label.shape[1], image.shape[1])
-    image[:height, :width] = label[:height, :width]
+    corners = xyxy_from_boxes(found.boxes).round().astype(int).tolist()
+    for (left, top, right, bottom), k in zip(corners, found.class_ids.tolist(), strict=True):
+        colour = colour_of_class(k) if classes else BOX_COLOUR
+        cv2.rectangle(image, (left, top), (right, bottom), colour, thickness)
+    labels = [(str(len(found)), colour_of(len(found)))]
+    if classes:
+        numbers = np.bincount(found.class_ids, minlength=len(classes)).tolist()
+        labels = [(f"{name} {numbers[k]}", colour_of_class(k)) for k, name in enumerate(classes)]
+    draw_labels(image, labels)
     return image
+
+
+def draw_labels(image: Frame, labels: Iterable[tuple[str, tuple[int, int, int]]]) -> None:
+    """Draw texts on colours, one below the other, into the upper left corner of an image."""
+    top = 0
+    for text, colour in labels:
+        label = _text(text, colour)
+        height, width = (
+            min(label.shape[0], image.shape[0] - top),
+            min(label.shape[1], image.shape[1]),
+        )
+        image[top : top + height, :width] = label[:height, :width]
+        top += height
 
 
 def _draw_trail(
@@ -92,13 +138,12 @@ def _draw_trail(
         cv2.line(image, start, end, shade, 2, cv2.LINE_AA, shift=4)
 
 
-def _draw_box(image: Frame, row: Row) -> None:
+def _draw_box(image: Frame, row: Row, colour: tuple[int, int, int]) -> None:
     cx, cy, w, h = row.values[2:6]
     corners = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2]).round().astype(int)
     left, top, right, bottom = corners.tolist()
-    colour = colour_of(row.track_id)
     cv2.rectangle(image, (left, top), (right, bottom), colour, 2 if row.observed else 1)
-    label = _label(row.track_id)
+    label = _text(str(row.track_id), colour)
     height, width = label.shape[:2]
     frame_height, frame_width = image.shape[:2]
     x0 = min(max(left, 0), frame_width - width)
@@ -108,11 +153,6 @@ def _draw_box(image: Frame, row: Row) -> None:
 
 
 @lru_cache(maxsize=4096)
-def _label(track_id: int) -> Frame:
-    """The ID on the track's colour."""
-    return _text(str(track_id), colour_of(track_id))
-
-
 def _text(text: str, colour: tuple[int, int, int]) -> Frame:
     """Text in black on a BGR colour; Pillow sets type better than OpenCV."""
     font = ImageFont.load_default(TEXT_PX)

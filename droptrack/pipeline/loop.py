@@ -10,12 +10,18 @@ from functools import partial
 from itertools import islice
 from time import perf_counter
 
+import numpy as np
+
+from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
+from droptrack.data.region import Region
 from droptrack.detection.detector import Finder
 from droptrack.interrupts import whole
-from droptrack.measurement.droplets import load_loops, measure_droplets
+from droptrack.measurement.droplets import Measured, load_loops, measure_droplets
 from droptrack.measurement.shapes import COLUMNS as SHAPE
+from droptrack.pipeline.classes import CLASS_ID
+from droptrack.pipeline.contours import PLACE
 from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.results import Results
 from droptrack.pipeline.threads import FrameReader, NumberedFrame, side_by_side
@@ -39,9 +45,12 @@ class FrameTracker:
         *,
         live: bool = False,
         shape: bool = False,
+        region: Region | None = None,
     ) -> None:
-        self._session = TrackingSession(tracker, live=live, further=SHAPE if shape else ())
-        self._shape = shape
+        further = SHAPE * shape + (PLACE,) * (results.contours is not None)
+        further += (CLASS_ID,) * (results.votes is not None)  # the last, see `Annotator`
+        self._session = TrackingSession(tracker, live=live, further=further)
+        self._shape, self._region = shape, region
         self._describe, self._results = describe, results
         load_loops()  # now, not while the first frame waits
 
@@ -51,14 +60,16 @@ class FrameTracker:
         index, frame, decoded = item
         with results.times.measure("track"):
             descriptors = self._describe(frame, detections.boxes)
-            found = measure_droplets(frame, detections.boxes, shape=self._shape)
+            found = measure_droplets(
+                frame, detections.boxes, shape=self._shape, region=self._region
+            )
             final = session.add(
                 index,
                 detections,
                 found.centres,
                 found.measured,
                 descriptors,
-                Recordable(found.boxes, found.shapes),
+                Recordable(found.boxes, self._further(index, detections, found)),
             )
         results.n_frames += 1
         results.last_frame = index
@@ -67,6 +78,16 @@ class FrameTracker:
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, session)
         results.write(final)
+
+    def _further(self, index: int, detections: Detections, found: Measured) -> Floats:
+        """What the rows of a frame say beside their boxes (N, F)."""
+        columns = [found.shapes]
+        if self._results.contours is not None:
+            self._results.contours.keep(index, found.outlines)
+            columns.append(np.arange(len(detections), dtype=float)[:, None])
+        if self._results.votes is not None:
+            columns.append(detections.class_ids[:, None].astype(float))
+        return np.hstack(columns)
 
     def finish(self) -> None:
         """Write what was held back."""
@@ -85,15 +106,17 @@ def track_frames(
     live: bool = False,
     log: DetectionLog | None = None,
     shape: bool = False,
+    region: Region | None = None,
 ) -> Iterator[int]:
     """Detect and track numbered frames into `results`; yields the number of frames done.
 
     `live`: no frame waits for others. When one is done, the newest goes next, and those that came
     in between are dropped, so that a frame is never older than two take. Otherwise every frame is
     tracked, `batch` at once through the network. `log` has the detections of an earlier run, and
-    gets those of this one. `shape`: measure sizes and shapes, too.
+    gets those of this one. `shape`: measure sizes and shapes, too; `region`: see
+    `measure_droplets`.
     """
-    frame_tracker = FrameTracker(tracker, describe, results, live=live, shape=shape)
+    frame_tracker = FrameTracker(tracker, describe, results, live=live, shape=shape, region=region)
     running: deque[tuple[list[NumberedFrame], Callable[[], list[Detections]]]] = deque()
     engine = detector.engine
     max_running = 0 if live else 2 * engine.parallel  # so that the network waits for nobody

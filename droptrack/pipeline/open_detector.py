@@ -28,7 +28,8 @@ class OpenedDetector:
     """A detector, the network and weights it has, and px of its input for a px of the frames.
 
     Of several scales, the network and the scale are those for the smallest droplets. `settings`:
-    the scale and how it was chosen, and how frames are changed, for the report.
+    the scale and how it was chosen, and how frames are changed, for the report. `region`: where
+    droplets count; None: everywhere.
     """
 
     detector: Finder
@@ -36,6 +37,7 @@ class OpenedDetector:
     weights: Path
     scale: float
     settings: dict[str, Value] = field(default_factory=dict)
+    region: Region | None = None
 
 
 def open_detector(
@@ -97,6 +99,7 @@ def open_detector(
             **chosen,
             "network_sees": str(normalisation),
         },
+        region=region,
     )
 
 

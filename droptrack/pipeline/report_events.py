@@ -16,7 +16,9 @@ from droptrack.data.units import Units
 from droptrack.errors import DroptrackError
 from droptrack.tracking.events.lineage import Event, Kind, find_events
 from droptrack.tracking.events.passages import (
+    Line,
     Passage,
+    Region,
     Stay,
     parse_line,
     parse_region,
@@ -29,23 +31,47 @@ from droptrack.tracking.events.passages import (
 class EventsConfig:
     """What to look for: lines and regions as they are given, see `events.passages`; plots' names.
 
-    Of plots, see `events.plots.parse_plots`; none where it is empty.
+    Of plots, see `events.plots.parse_plots`; none where it is empty. `region_option`: what regions
+    were given with.
     """
 
     lines: tuple[str, ...] = ()
     regions: tuple[str, ...] = ()
     plots: str = ""
+    region_option: str = "--region"
 
 
-def write_events(out: Path, table: Table, config: EventsConfig) -> Report:
+def wanted_events(lines: Sequence[str], stays: Sequence[str], plots: str) -> EventsConfig | None:
+    """What to look for in a run, as its options --line, --stays and --plots say; None: nothing."""
+    if not (lines or stays or plots):
+        return None
+    return EventsConfig(
+        lines=tuple(lines), regions=tuple(stays), plots=plots, region_option="--stays"
+    )
+
+
+def parsed(
+    config: EventsConfig, size: tuple[int, int]
+) -> tuple[list[Line], list[Region], Callable[[Path, Trajectories, Sequence[Event], Table], None]]:
+    """Lines, regions, and what draws the plots, in images of a size, px.
+
+    Raises DroptrackError for a line or region that is none, and for a plot of another name.
+    """
+    lines = [parse_line(text, size) for text in config.lines]
+    regions = [parse_region(text, size, config.region_option) for text in config.regions]
+    return lines, regions, _plots_of(config.plots)
+
+
+def write_events(
+    out: Path, table: Table, config: EventsConfig, *, overwrite: bool = False
+) -> Report:
     """Write events.csv, passages.csv, stays.csv and trajectories.csv, with lineage, to a folder.
 
-    Raises DroptrackError for a line or region that is none.
+    Raises DroptrackError as `parsed` does, and where there is such a table, unless it is to be
+    overwritten.
     """
-    lines = [parse_line(text, table.size) for text in config.lines]
-    regions = [parse_region(text, table.size) for text in config.regions]
-    draw = _plots_of(config.plots)
-    if (out / "trajectories.csv").exists():
+    lines, regions, draw = parsed(config, table.size)
+    if (out / "trajectories.csv").exists() and not overwrite:
         raise DroptrackError(f"{out}: has a trajectories.csv already; choose another --out")
     events, rows = find_events(table.rows, table.size)
     out.mkdir(parents=True, exist_ok=True)

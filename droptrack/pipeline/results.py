@@ -13,6 +13,8 @@ from droptrack.data.report import Report, Value
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter
 from droptrack.data.units import Units
+from droptrack.pipeline.classes import CLASS_ID, ClassVotes
+from droptrack.pipeline.contours import PLACE, ContourLog
 from droptrack.pipeline.paths import Paths, counted
 from droptrack.pipeline.paths_picture import draw_paths
 from droptrack.pipeline.threads import AnnotatedVideo
@@ -27,9 +29,9 @@ FIXED = ("frame", "x", "y", "w", "h")  # columns that other units are of
 FURTHER_COLUMNS = (*BOX_CENTRE, "centre_of_mass", *SMOOTHED)
 
 
-def columns_with(units: Units, shape: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """The names of the columns that follow the fixed ones."""
-    columns = FURTHER_COLUMNS + shape
+def columns_with(units: Units, further: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """The names of the columns that follow the fixed ones; `further`: of shapes and classes."""
+    columns = FURTHER_COLUMNS + further
     return columns + units.names(FIXED + columns)
 
 
@@ -41,6 +43,8 @@ class Results:
     video: AnnotatedVideo | None = None
     times: StageTimes = field(default_factory=StageTimes)
     units: Units = field(default_factory=Units)
+    votes: ClassVotes | None = None  # where a network tells classes
+    contours: ContourLog | None = None  # where outlines are wanted
     n_frames: int = 0
     last_frame: int = -1  # its number
     n_dropped: int = 0  # frames of a live source that came while others were at work
@@ -68,9 +72,12 @@ class Results:
     def _write(self, smoothed: Iterable[tuple[Recorded, NDArray[np.float64]]]) -> None:
         for recorded, columns in smoothed:
             rows = recorded.rows
-            further = dict(rows.columns)
+            further = {name: one for name, one in rows.columns.items() if name != PLACE}
             if AT_EDGE in further:
                 further[AT_EDGE] = further[AT_EDGE] == 1  # not NaN, where gaps were bridged
+            if self.votes is not None:
+                further |= self.votes.classes.columns(further[CLASS_ID])
+                self.votes.add(rows, further[CLASS_ID])
             extra = {
                 **dict(zip(BOX_CENTRE, rows.boxes.T, strict=False)),
                 **{"centre_of_mass": recorded.measured},
@@ -81,6 +88,8 @@ class Results:
             extra |= self.units.further({**fixed, **extra})
             self.rows.write(rows, extra.values())
             self.paths.add(rows)
+            if self.contours is not None:
+                self.contours.write(rows)
 
     def show(self, index: int, frame: Frame, session: TrackingSession) -> None:
         """Write the annotated frame from some frames ago: by now new tracks are confirmed."""
@@ -115,11 +124,15 @@ def summarise(
     are those of the whole; `doubts`: what makes one doubt the results.
     """
     droplets = results.paths.table(results.units)
+    votes = results.votes
+    if votes is not None:
+        droplets = [row | votes.row(int(str(row["track_id"]))) for row in droplets]
     entered, left = results.paths.passages(*size)
     gaps = sorted(results.gaps, key=lambda gap: (gap.first_frame, gap.track_id))
     summary: dict[str, Value] = {
         "n_frames": results.n_frames,
         "n_droplets": len(droplets),
+        **(votes.summary() if votes is not None else {}),
         "n_entered": len(entered),
         "entered_at": counted(entered),
         "n_left": len(left),

@@ -4,10 +4,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import islice
 from pathlib import Path
 
+from droptrack.data.field_stop import FieldStop, find_field_stop
+from droptrack.data.formats.contours import check_contours
+from droptrack.data.formats.tables import read_csv
 from droptrack.data.levels import EIGHT_BITS
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames
@@ -15,19 +18,23 @@ from droptrack.data.sources.opencv_names import printable
 from droptrack.data.stage_times import StageTimes
 from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_trajectories
 from droptrack.data.units import Units
-from droptrack.data.video import Video, VideoInfo, VideoWriter, mpeg4_info
+from droptrack.data.video import Video, VideoWriter, mpeg4_info
 from droptrack.detection.engine_choice import Engines
 from droptrack.errors import DroptrackError, InterruptedRunError
 from droptrack.interrupts import whole
 from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.network.darknet_cfg import cfg_text
 from droptrack.network.quantisation import sha256_of
+from droptrack.pipeline.classes import CLASS_ID, CLASS_NAME, Classes, ClassVotes, classes_of
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.pipeline.contours import contour_log
 from droptrack.pipeline.detection_log import DetectionLog
 from droptrack.pipeline.doubts import doubts
+from droptrack.pipeline.drawing import Annotator
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, say_what_is_unsure, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
+from droptrack.pipeline.report_events import parsed, write_events
 from droptrack.pipeline.results import Results, columns_with, summarise, write_report
 from droptrack.pipeline.results_folder import prepare_folder, whole_name
 from droptrack.pipeline.threads import AnnotatedVideo
@@ -49,12 +56,14 @@ MAX_RATE_ERROR = 0.001  # frames a second, of the annotated video, that need not
 class TrackingRun:
     """What a run left: its folder, its report, and what ended it too early, if anything did.
 
-    The folder holds ``trajectories.csv``, ``tracked.mp4``, ``paths.png`` and ``report.json``.
+    The folder holds ``trajectories.csv``, ``tracked.mp4``, ``paths.png`` and ``report.json``, and
+    ``events``, what `report_events.write_events` writes.
     """
 
     folder: Path
     report: Report
     problem: DroptrackError | None = None
+    events: Report | None = None  # where they were asked for
 
     @cached_property
     def trajectories(self) -> Trajectories:
@@ -72,6 +81,13 @@ class _Opened:
     tracker: Tracker
     tracker_settings: dict[str, Value]
     describe: DescriptorExtractor
+    classes: Classes | None
+    stop: FieldStop | None  # where no region is given
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the frames, px."""
+        return self.source.info.width, self.source.info.height
 
     def n_frames(self, max_frames: int) -> int:
         """Frames that are to come, as far as the container knows; 0 where nobody does."""
@@ -85,11 +101,18 @@ class _Opened:
         return {"fps": fps, "um_per_px": config.units.um_per_px}
 
     def units(self, config: TrackingConfig) -> Units:
-        """What the user says a pixel and a frame are; the video's frames a second by default."""
+        """What the user says a pixel and a frame are; by default what the file says of them."""
         units = config.units
-        if units.fps is None and units.um_per_px is not None and self.source.info.fps > 0:
+        if units.um_per_px is None and self.pixel_of_file(config):
+            units = replace(units, um_per_px=self.source.pixel_size_um)
+        if units.fps is None and units.um_per_px is not None and self.source.says_fps:
             return replace(units, fps=self.source.info.fps)
         return units
+
+    def pixel_of_file(self, config: TrackingConfig) -> float:
+        """The size of a pixel, um, that the file says and nobody else; 0 where it is not used."""
+        given = config.units.um_per_px is not None or config.pixels_only
+        return 0.0 if given else self.source.pixel_size_um
 
 
 def run(
@@ -110,8 +133,13 @@ def run(
     folder = _make_folder(config)
     for note in opened.source.notes:
         say(printable(note))
+    if pixel := opened.pixel_of_file(config):
+        say(
+            f"{printable(config.video)}: a pixel is {pixel:.4g} um wide, as the file says; another "
+            "width: --um-per-px, none: --pixels-only"
+        )
     about = _about(config, opened)
-    info, network = opened.source.info, opened.network.cfg
+    network, size = opened.network.cfg, opened.size
     say(
         f"{printable(config.video)}: {network.path.stem}, {network.width} x {network.height} px, "
         f"on {opened.network.detector.engine.name}"
@@ -124,7 +152,6 @@ def run(
     settings = {**about, **_settings(config, opened)}
     seconds = time.perf_counter() - began
     odd = doubts(results.paths.each(), results.n_frames, network, opened.network.scale)
-    size = (info.width, info.height)
     report = summarise(results, settings, size, n_missing, seconds, odd)
     with whole():
         write_report(folder, report, results.paths, size)
@@ -134,19 +161,31 @@ def run(
         _say_what_is_odd(config, opened.source, results, n_missing, say)
         for doubt in odd:
             say(f"{printable(config.video)}: {doubt}")
-    return TrackingRun(folder, report, problem)
+    events = None
+    if config.events is not None and problem is None:
+        table = read_csv(folder / "trajectories.csv")
+        events = write_events(folder / "events", table, config.events, overwrite=True)
+    return TrackingRun(folder, report, problem, events)
 
 
 def _open(config: TrackingConfig, say: Say, engines: Engines | None) -> _Opened:
     """Everything that can refuse to work, before anything is written."""
+    check_contours(config.contours, shape=config.shape)
     tracker, tracker_settings = make_tracker(config.tracker)
     describe = choose_descriptor(config.tracker)
     source = Video(config.video, config.reading)
     live = source.live if config.live is None else config.live
-    frames = source.info
-    size = (frames.width, frames.height)
-    samples = partial(sample_frames, source, N_SAMPLES)
+    size = (source.info.width, source.info.height)
+    if config.events is not None:
+        parsed(config.events, size)
+    samples = cache(partial(sample_frames, source, N_SAMPLES))
     network = open_detector(config, size, samples, live=live, say=say, engines=engines)
+    stop = find_field_stop(samples()) if network.region is None and config.shape else None
+    if stop is not None:
+        say(
+            f"{printable(config.video)}: {stop}: droplets that it cuts are at_edge; --region says "
+            "what else is to be seen"
+        )
     return _Opened(
         source=source,
         live=live,
@@ -154,6 +193,8 @@ def _open(config: TrackingConfig, say: Say, engines: Engines | None) -> _Opened:
         tracker=tracker,
         tracker_settings=tracker_settings,
         describe=describe,
+        classes=classes_of(network.cfg, config.names, config.cells),
+        stop=stop,
     )
 
 
@@ -175,10 +216,10 @@ def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         further["pixel size"] = f"{source.pixel_size_um:g} um"
     if source.levels is not EIGHT_BITS:
         further["grey levels"] = str(source.levels)
+    rate = f", {info.fps:g} frames/s" if source.says_fps else ""
     return {
         "made by": f"droptrack {__version__}, droptrack.track",
-        "video": f"{whole_name(config.video)}, {info.width} x {info.height} px, "
-        f"{info.fps:g} frames/s",
+        "video": f"{whole_name(config.video)}, {info.width} x {info.height} px{rate}",
         **further,
         "network": f"{opened.network.cfg.path}, {opened.network.weights}",
         "weights sha256": sha256_of(opened.network.weights),
@@ -200,6 +241,8 @@ def _settings(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "dark": config.dark,
         "region": config.region or "",
         **opened.rates(config),
+        "field_stop": str(opened.stop or ""),
+        **(opened.classes.settings() if opened.classes else {}),
         **opened.tracker_settings,
     }
 
@@ -217,18 +260,20 @@ def _track(
     problem: DroptrackError | None = None
     times = StageTimes()
     units = opened.units(config)
-    columns = columns_with(units, SHAPE if config.shape else ())
+    further = SHAPE * config.shape + (CLASS_ID, CLASS_NAME) * (opened.classes is not None)
     with (
         _detection_log(config, opened, folder, say) as log,
-        TrajectoryWriter(folder / "trajectories.csv", about, columns) as rows,
+        TrajectoryWriter(folder / "trajectories.csv", about, columns_with(units, further)) as rows,
+        contour_log(config.contours, folder, about, opened.classes, opened.size) as contours,
     ):
         video: AnnotatedVideo | None = None
         if config.annotated_video:
             try:
-                video = _annotated_video(folder, opened.source.info, times, units, say)
+                video = _annotated_video(folder, opened, times, units, say)
             except DroptrackError as error:  # the analysis does not depend on it
                 problem = error
-        results = Results(rows, video, times, units)
+        votes = None if opened.classes is None else ClassVotes(opened.classes)
+        results = Results(rows, video, times, units, votes, contours)
         done = track_frames(
             islice(opened.source.numbered(), config.max_frames or None),
             opened.network.detector,
@@ -239,6 +284,7 @@ def _track(
             live=opened.live,
             log=log,
             shape=config.shape,
+            region=opened.stop.region if opened.stop else opened.network.region,
         )
         try:
             _show_progress(done, opened.n_frames(config.max_frames), progress)
@@ -301,9 +347,10 @@ def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
 
 
 def _annotated_video(
-    folder: Path, info: VideoInfo, times: StageTimes, units: Units, say: Say
+    folder: Path, opened: _Opened, times: StageTimes, units: Units, say: Say
 ) -> AnnotatedVideo:
     """A video for annotated frames, smaller or with another rate where MPEG-4 wants it."""
+    info = opened.source.info
     held, smaller = mpeg4_info(info)
     path = folder / "tracked.mp4"
     if smaller > 1:
@@ -311,7 +358,8 @@ def _annotated_video(
     if abs(held.fps - info.fps) > MAX_RATE_ERROR:
         say(f"{path}: plays {held.fps:g} frames/s, as MPEG-4 cannot hold {info.fps:g}")
     shrink = (held.width, held.height) != (info.width, info.height)
-    return AnnotatedVideo(VideoWriter(path, held, "mp4v"), times, units, shrink=shrink)
+    annotator = Annotator(units, opened.classes.names if opened.classes else ())
+    return AnnotatedVideo(VideoWriter(path, held, "mp4v"), times, annotator, shrink=shrink)
 
 
 def _show_progress(done: Iterator[int], total: int, shown: Progress) -> None:

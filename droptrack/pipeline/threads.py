@@ -16,7 +16,6 @@ import numpy as np
 
 from droptrack.data.frames import Frame
 from droptrack.data.stage_times import StageTimes
-from droptrack.data.units import PIXELS, Units
 from droptrack.data.video import VideoWriter
 from droptrack.pipeline.drawing import Annotator
 from droptrack.tracking.recorder import Row
@@ -137,11 +136,12 @@ class AnnotatedVideo:
         self,
         writer: VideoWriter,
         times: StageTimes,
-        units: Units = PIXELS,
+        annotator: Annotator | None = None,
         *,
         shrink: bool = False,
     ) -> None:
-        self._writer, self._times, self._units, self._shrink = writer, times, units, shrink
+        self._writer, self._times, self._shrink = writer, times, shrink
+        self._annotator = annotator or Annotator()
         self._queue: queue.Queue[tuple[int, Frame, list[Row]] | None] = queue.Queue(READ_AHEAD)
         self._problem: BaseException | None = None
         self._thread = threading.Thread(target=self._write, name="write", daemon=True)
@@ -160,13 +160,12 @@ class AnnotatedVideo:
             raise self._problem
 
     def _write(self) -> None:
-        annotator = Annotator(self._units)
         while (item := self._queue.get()) is not None:
             if self._problem is not None:
                 continue  # so that nobody waits for room in the queue
             try:
                 with self._times.measure("write"):
-                    image = annotator.draw(*item)
+                    image = self._annotator.draw(*item)
                     if self._shrink:
                         shrunk = cv2.resize(image, self._writer.size, interpolation=cv2.INTER_AREA)
                         image = np.asarray(shrunk, np.uint8)

@@ -39,7 +39,8 @@ def test_logits_of_zero_are_the_middle_of_a_cell_and_the_anchor() -> None:
 
 
 @pytest.mark.usefixtures("implementation")
-def test_the_best_of_those_that_overlap_is_kept_in_each_class() -> None:
+def test_the_best_of_those_that_overlap_is_kept() -> None:
+    """As Darknet has it, in each class; in a video, a droplet has one class: of its best box."""
     rows = np.array(
         [
             [0.5, 0.5, 0.2, 0.2, 0.9, 0.6, 0.1],  # of class 0
@@ -52,10 +53,23 @@ def test_the_best_of_those_that_overlap_is_kept_in_each_class() -> None:
         ],
         np.float32,
     )
-    found = select(rows, 100, 100, 0.3, 0.5)
+    whole = select(rows, 100, 100, 0.3, 0.5)
+    assert whole.class_ids.tolist() == [0, 0]
+    np.testing.assert_allclose(whole.scores, [0.81, 0.45], rtol=1e-6)
+    found = select(rows, 100, 100, 0.3, 0.5, greedy=True)
     assert found.class_ids.tolist() == [0, 1, 0]
     np.testing.assert_allclose(found.scores, [0.81, 0.45, 0.45], rtol=1e-6)
     np.testing.assert_allclose(found.boxes[:, 0], [51, 50, 70], rtol=1e-6)
+
+
+@pytest.mark.usefixtures("implementation")
+def test_for_darknets_precision_a_box_counts_for_each_likely_class() -> None:
+    """Its get_yolo_detections keeps objectness times probability of every class above a score."""
+    rows = np.array([[0.5, 0.5, 0.2, 0.2, 0.5, 0.8, 0.6, 0.1]], np.float32)
+    assert select(rows, 100, 100, 0.25, 0.5).scores.tolist() == pytest.approx([0.4])
+    found = select(rows, 100, 100, 0.25, 0.5, greedy=True)
+    assert found.class_ids.tolist() == [0, 1]
+    assert found.scores.tolist() == pytest.approx([0.4, 0.3])
 
 
 @pytest.mark.parametrize("seed", range(12))

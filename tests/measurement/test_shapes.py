@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from data_gen.scenes import scene_kinds
 from data_gen.scenes.shapes import WHITE, draw_contour, draw_ellipses, ellipse_boxes
 from droptrack.data.degradation import degrade
-from droptrack.measurement.droplets import Measured, measure_droplets
+from droptrack.data.region import Region
+from droptrack.measurement.droplets import Measured, at_edge, measure_droplets
 from droptrack.measurement.shapes import COLUMNS
 
 Floats = NDArray[np.float64]
@@ -205,3 +206,34 @@ def test_compiled_loops_see_the_same_outlines_as_arrays(
         np.testing.assert_allclose(found.boxes, expected.boxes, rtol=1e-9)
         n += int(np.isfinite(found.shapes[:, 0]).sum())
     assert n > 10
+
+
+def disc_region() -> Region:
+    """What lies within 70 px of (100, 100), of 200 x 200 px."""
+    y, x = np.mgrid[:200, :200] + 0.5
+    return Region(np.asarray(np.hypot(x - 100, y - 100) < 70))
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_droplets_cut_by_a_region_are_flagged_and_their_circle_is_told(*, stop: bool) -> None:
+    """One inside, one across the border, which a field stop darkens or not."""
+    discs = np.array([[95.3, 100.2, 20, 20, 0], [155.4, 120.8, 18, 18, 0]])
+    canvas = np.full((200, 200), 60, np.uint8)
+    draw_ellipses(canvas, discs, 200)
+    region = disc_region()
+    if stop:
+        canvas[~region.mask] = 5
+    boxes = np.array([[95.0, 100, 41, 41], [151 if stop else 155.0, 120, 28 if stop else 36, 36]])
+    frame = np.repeat(canvas[..., None], 3, axis=2)
+    found = measure_droplets(frame, boxes, region=region)
+    assert column(found, "at_edge").tolist() == [0, 1]
+    assert column(found, "diameter_px")[0] == pytest.approx(40, abs=0.1)
+    assert np.isnan(column(found, "diameter_px")[1])
+    assert found.measured.tolist() == [True, False]
+    np.testing.assert_allclose(found.centres, discs[:, :2], atol=0.3)
+    assert at_edge(boxes, (200, 200), region).tolist() == [False, True]
+    assert at_edge(boxes, (200, 200)).tolist() == [False, False]
+    everywhere = measure_droplets(frame, boxes, region=Region(np.ones((200, 200), bool)))
+    plain = measure_droplets(frame, boxes)
+    np.testing.assert_array_equal(everywhere.shapes, plain.shapes)
+    np.testing.assert_array_equal(everywhere.centres, plain.centres)

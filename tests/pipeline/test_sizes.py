@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from data_gen.scenes.shapes import draw_ellipses
@@ -73,6 +74,35 @@ def test_droplets_cut_by_the_edge_are_flagged(kind: str, tmp_path: Path) -> None
     assert max(error) < 0.2
 
 
+@pytest.mark.parametrize("kind", ["track", "detect"])
+def test_droplets_cut_by_a_field_stop_are_flagged(kind: str, tmp_path: Path) -> None:
+    """A disc of 25 px goes behind the border of the field, which is 390 px from the left there."""
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    rows, columns = np.mgrid[:320, :480] + 0.5
+    outside = np.hypot(columns - 240, rows - 160) > 150
+    places = 341.0 + 6 * np.arange(8)  # cut from 365 on
+    for t, x in enumerate(places.tolist()):
+        canvas = np.full((320, 480), 70, np.uint8)
+        draw_ellipses(canvas, np.array([[x, 160.3, 25, 25, 0], [180.0, 120, 25, 25, 0]]), 220)
+        canvas[outside] = 4
+        cv2.imwrite(str(folder / f"{t:03d}.png"), canvas)
+    out, plain = tmp_path / "out", ("--no-video",) if kind == "track" else ("--no-images",)
+    result = CliRunner().invoke(app, [kind, str(folder), "--out", str(out), *plain])
+    assert result.exit_code == 0, result.output
+    name = "trajectories.csv" if kind == "track" else "detections.csv"
+    lines = [line for line in (out / name).read_text().splitlines() if line[0] != "#"]
+    header = lines[0].split(",")
+    table = [dict(zip(header, line.split(","), strict=True)) for line in lines[1:]]
+    leaving = [row for row in table if float(row["x"]) > 300]
+    assert [row["at_edge"] for row in leaving] == ["0"] * 4 + ["1"] * 4
+    assert {row["at_edge"] for row in table if float(row["x"]) < 300} == {"0"}
+    error = [abs(float(row["x"]) - x) for row, x in zip(leaving, places.tolist(), strict=True)]
+    assert max(error) < 0.5
+    if kind == "track":
+        assert "a round field stop, 300 px wide at 240, 160" in result.stderr
+
+
 def test_columns_in_micrometres_and_seconds_stand_beside_the_pixels(
     sine: Path, tmp_path: Path
 ) -> None:
@@ -97,6 +127,55 @@ def test_columns_in_micrometres_and_seconds_stand_beside_the_pixels(
     first = report["droplets"][0]
     assert first["diameter_um"] == pytest.approx(first["diameter_px"] / 2)
     assert first["speed_um_per_s"] == pytest.approx(first["speed_px_per_frame"] * 12.5)
+
+
+def stack_of(folder: Path, **about: object) -> Path:
+    """Four frames of a disc that goes 5 px a frame, as ImageJ writes them: 0.5 um a px."""
+    images = np.zeros((4, 240, 480), np.uint8)
+    for t, canvas in enumerate(images):
+        draw_ellipses(canvas, np.array([[200.0 + 5 * t, 120.4, 30, 30, 0]]), 255)
+    path = folder / "stack.tif"
+    metadata = {"axes": "TYX", "unit": "um", **about}
+    tifffile.imwrite(path, images, imagej=True, resolution=(2, 2), metadata=metadata)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("about", "options", "um_per_px", "fps"),
+    [
+        ({"finterval": 0.002}, (), "0.5", "500"),
+        ({}, (), "0.5", None),  # nobody says the rate
+        ({"finterval": 0.002}, ("--um-per-px", "0.25"), "0.25", "500"),
+        ({"finterval": 0.002}, ("--pixels-only",), None, None),
+    ],
+)
+def test_a_pixels_size_is_what_the_file_says_unless_another_is_given(
+    tmp_path: Path,
+    about: dict[str, object],
+    options: tuple[str, ...],
+    um_per_px: str | None,
+    fps: str | None,
+) -> None:
+    path, out = stack_of(tmp_path, **about), tmp_path / "out"
+    arguments = ["track", str(path), "--out", str(out), *OPTIONS, *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert ("a pixel is 0.5 um wide, as the file says" in result.stderr) == (not options)
+    found, said = read_trajectories(out / "trajectories.csv")
+    assert (said.get("um per px"), said.get("frames per s")) == (um_per_px, fps)
+    assert ("frames/s" in said["video"]) == ("finterval" in about)
+    assert ("x_um" in found.columns) == (um_per_px is not None)
+    assert ("velocity_x_um_per_s" in found.columns) == (fps is not None)
+    if um_per_px is not None:
+        np.testing.assert_allclose(found.columns["x_um"], found.x * float(um_per_px), atol=1e-5)
+
+
+def test_a_pixels_size_and_none_contradict_each_other(tmp_path: Path) -> None:
+    path = stack_of(tmp_path)
+    arguments = ["track", str(path), "--out", str(tmp_path / "out"), "--pixels-only"]
+    result = CliRunner().invoke(app, [*arguments, "--um-per-px", "2"])
+    assert result.exit_code == 1
+    assert "--pixels-only, not both" in result.stderr
 
 
 def test_a_scale_bar_is_as_long_as_it_says() -> None:

@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -228,11 +229,11 @@ def test_ctrl_c_keeps_what_was_tracked(
 ) -> None:
     calls = []
 
-    def interrupted(frame: Frame, boxes: np.ndarray, *, shape: bool) -> Measured:
+    def interrupted(frame: Frame, boxes: np.ndarray, **options: Any) -> Measured:
         calls.append(1)
         if len(calls) > 5:
             raise KeyboardInterrupt
-        return measure_droplets(frame, boxes, shape=shape)
+        return measure_droplets(frame, boxes, **options)
 
     monkeypatch.setattr(pipeline, "measure_droplets", interrupted)
     message = fails("track", str(sine / "video.avi"), "--out", str(tmp_path))

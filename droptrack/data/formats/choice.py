@@ -14,6 +14,7 @@ from droptrack.errors import DroptrackError
 
 EVERYTHING = frozenset({"everything"})
 POSITIONS, BOXES, SCORES, BRIDGED = "x, y", "boxes", "scores", "which rows are bridged gaps"
+CLASSES = frozenset({"class_id", "class_name"})
 SHAPES = frozenset({"area_px2", "perimeter_px", "circularity"})
 
 
@@ -82,8 +83,10 @@ FORMATS = {
     FormatName.cvat: Format(
         write=cvat.write_cvat, read=_plain(cvat.read_cvat), holds=frozenset({BOXES, BRIDGED})
     ),
-    FormatName.coco: Format(write=labels.write_coco, holds=frozenset({BOXES, SCORES, "area_px2"})),
-    FormatName.darknet: Format(write=labels.write_darknet, holds=frozenset({BOXES})),
+    FormatName.coco: Format(
+        write=labels.write_coco, holds=frozenset({BOXES, SCORES, "area_px2"}) | CLASSES
+    ),
+    FormatName.darknet: Format(write=labels.write_darknet, holds=frozenset({BOXES, "class_id"})),
 }
 WITH_ABOUT = {FormatName.csv, FormatName.parquet, FormatName.geff, FormatName.coco}
 BY_SUFFIX = {

@@ -50,6 +50,25 @@ class Table:
         found = self.rows.columns.get(name)
         return None if found is None else np.asarray(found, np.float64)
 
+    def classes(self) -> tuple[Rows, dict[int, str]]:
+        """The class of each row (M,), and the names of classes: of droplets without, 0, droplet.
+
+        In bridged gaps the class that the droplet has most often.
+        """
+        ids, names = self.rows.columns.get("class_id"), self.rows.columns.get("class_name")
+        if ids is None:
+            return np.zeros(len(self.rows), np.int64), {0: "droplet"}
+        whole = np.array(ids, np.int64)
+        for _, some in tracks(self.rows):
+            known = whole[some][whole[some] >= 0]
+            most = np.bincount(known, minlength=1).argmax()
+            whole[some] = np.where(whole[some] < 0, most, whole[some])
+        found = {k: str(k) for k in np.unique(whole).tolist()}
+        if names is not None:
+            pairs = zip(np.asarray(ids, np.int64).tolist(), names.tolist(), strict=True)
+            found |= {k: name for k, name in pairs if k >= 0}
+        return whole, found
+
     def diameters(self) -> Floats:
         """Diameters (M,) px: measured where they were, else sqrt(w h) of the boxes."""
         of_boxes = np.sqrt(self.rows.boxes[:, 2] * self.rows.boxes[:, 3])

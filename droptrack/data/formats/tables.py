@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from droptrack.data.arrays import Floats
 from droptrack.data.files import read_text, reading, replacing
 from droptrack.data.formats.table import PIXEL_CENTRE, Table, table_of
-from droptrack.data.trajectories import BOX_CENTRE, read_trajectories, write_trajectories
+from droptrack.data.trajectories import (
+    BOX_CENTRE,
+    TEXT,
+    WHOLE,
+    as_written,
+    kind_of,
+    read_trajectories,
+    write_trajectories,
+)
 from droptrack.errors import DroptrackError
 
 OURS = ("track_id", "frame", "x", "y", *BOX_CENTRE, "w", "h", "score", "observed")
@@ -59,8 +67,12 @@ def table_of_columns(path: Path, found: dict[str, NDArray[Any]], about: dict[str
     for name in ("frame", "track_id", "x", "y"):
         if name not in found:
             raise DroptrackError(f"{path}: has no column {name}")
-    column, notes = {}, []
+    column: dict[str, NDArray[Any]] = {}
+    notes = []
     for name, values in found.items():
+        if name in TEXT:
+            column[name] = found[name] = np.asarray(values, np.str_)
+            continue
         try:
             column[name] = np.asarray(values, np.float64)
         except (ValueError, TypeError):
@@ -78,7 +90,11 @@ def table_of_columns(path: Path, found: dict[str, NDArray[Any]], about: dict[str
         y=y,
         scores=column.get("score"),
         observed=column["observed"] != 0 if "observed" in column else None,
-        columns={name: found[name] for name in column if name not in OURS},
+        columns={
+            name: found[name].astype(np.int64) if name in WHOLE else found[name]
+            for name in column
+            if name not in OURS
+        },
         about=about,
         notes=notes,
     )
@@ -86,7 +102,7 @@ def table_of_columns(path: Path, found: dict[str, NDArray[Any]], about: dict[str
 
 def write_parquet(path: Path, table: Table) -> None:
     """Columns with their types; the `#` lines are in the file's metadata, as JSON."""
-    pyarrow = _pyarrow()
+    pyarrow = parquet_library()
     written = pyarrow.table(columns_of(table))
     written = written.replace_schema_metadata({ABOUT: json.dumps(dict(table.about)).encode()})
     with replacing(path) as partial:
@@ -95,7 +111,7 @@ def write_parquet(path: Path, table: Table) -> None:
 
 def read_parquet(path: Path) -> Table:
     """Columns by the names of our table."""
-    pyarrow = _pyarrow()
+    pyarrow = parquet_library()
     try:
         with reading(path, "Parquet"):
             stored = pyarrow.parquet.read_table(path)
@@ -109,7 +125,8 @@ def read_parquet(path: Path) -> Table:
     return table_of_columns(path, columns, about)
 
 
-def _pyarrow() -> Any:
+def parquet_library() -> Any:
+    """Pyarrow; raises DroptrackError where it is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -237,22 +254,26 @@ def px_of_unit(path: Path, unit: str, um_per_px: float | None) -> float:
 
 def _write(path: Path, columns: dict[str, NDArray[Any]]) -> None:
     """A CSV with six decimals, as our table has."""
-    kinds = ["%.6f" if one.dtype.kind == "f" else "%d" for one in columns.values()]
-    line = ",".join(kinds) + "\n"
-    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    line = ",".join(kind_of(one) for one in columns.values()) + "\n"
+    values = zip(*map(as_written, columns.values()), strict=True)
     with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         file.write(",".join(columns) + "\n")
         file.writelines(line % row for row in values)
 
 
-def _read(path: Path) -> dict[str, Floats]:
-    """The columns of a CSV of numbers; an empty field is NaN."""
-    lines = list(csv.reader(read_text(path).splitlines()))
+def _read(path: Path) -> dict[str, NDArray[Any]]:
+    """The columns of a CSV of numbers, but for those of TEXT; an empty field is NaN."""
+    lines = [line for line in csv.reader(read_text(path).splitlines()) if line]
     header = lines[0] if lines else []
     flags = {"True": "1", "False": "0", "": "nan"}
+    columns: dict[str, NDArray[Any]] = {}
     try:
-        table = [[float(flags.get(field, field)) for field in line] for line in lines[1:] if line]
-        values = np.array(table, float).reshape(-1, len(header))
+        fields = list(zip(*lines[1:], strict=True)) or [()] * len(header)
+        for name, column in zip(header, fields, strict=True):
+            if name in TEXT:
+                columns[name] = np.array(column, np.str_)
+            else:
+                columns[name] = np.array([float(flags.get(one, one)) for one in column], float)
     except ValueError as error:
         raise DroptrackError(f"{path}: {error}") from None
-    return dict(zip(header, values.T, strict=True))
+    return columns

@@ -75,7 +75,7 @@ def parse_line(text: str, size: tuple[int, int]) -> Line:
     return line
 
 
-def parse_region(text: str, size: tuple[int, int]) -> Region:
+def parse_region(text: str, size: tuple[int, int], option: str = "--region") -> Region:
     """A rectangle X1,Y1,X2,Y2 or a polygon X1,Y1,X2,Y2,X3,Y3,... in an image of a size, px.
 
     Raises DroptrackError for what is none, or lies outside.
@@ -83,17 +83,17 @@ def parse_region(text: str, size: tuple[int, int]) -> Region:
     >>> parse_region("10,20,30,60", (640, 480)).corners.tolist()
     [[10.0, 20.0], [30.0, 20.0], [30.0, 60.0], [10.0, 60.0]]
     """
-    values = _numbers("--region", text, "X1,Y1,X2,Y2 or the corners of a polygon")
+    values = _numbers(option, text, "X1,Y1,X2,Y2 or the corners of a polygon")
     if len(values) < 4 or len(values) % 2:
-        raise DroptrackError(f"--region {text}: should be X1,Y1,X2,Y2 or the corners of a polygon")
+        raise DroptrackError(f"{option} {text}: should be X1,Y1,X2,Y2 or the corners of a polygon")
     if len(values) == 4:
         x1, y1, x2, y2 = values
         values = [x1, y1, x2, y1, x2, y2, x1, y2]
     corners = np.reshape(values, (-1, 2))
     x, y = corners.T
     if not x @ np.roll(y, -1) - y @ np.roll(x, -1):
-        raise DroptrackError(f"--region {text}: has no area")
-    _check_inside("--region", text, corners, size)
+        raise DroptrackError(f"{option} {text}: has no area")
+    _check_inside(option, text, corners, size)
     return Region(corners)
 
 

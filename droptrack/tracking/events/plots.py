@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from droptrack.data.arrays import Bools, Floats, Rows
-from droptrack.data.trajectories import Trajectories
+from droptrack.data.trajectories import TEXT, Trajectories
 from droptrack.data.units import Units
 from droptrack.errors import DroptrackError
 from droptrack.tracking.events.lineage import Event, Kind
@@ -99,7 +99,9 @@ def _data(
     rows: Trajectories, events: Sequence[Event], units: Units, size: tuple[int, int]
 ) -> _Data:
     nothing = np.full(len(rows), np.nan)
-    column = {name: np.asarray(one, float) for name, one in rows.columns.items()}
+    column = {
+        name: np.asarray(rows.columns[name], float) for name in rows.columns if name not in TEXT
+    }
     scale, rate = units.um_per_px or 1.0, units.fps or 1.0
     speed = np.hypot(column.get("velocity_x", nothing), column.get("velocity_y", nothing))
     of_boxes = np.sqrt(rows.boxes[:, 2] * rows.boxes[:, 3])

@@ -33,10 +33,11 @@ def test_of_two_boxes_on_one_droplet_the_better_is_kept() -> None:
     assert sorted(kept.scores.tolist()) == [0.5, 0.9]  # the touching neighbour stays
 
 
-def test_doubles_of_other_classes_are_kept() -> None:
+def test_a_droplet_has_one_class_but_as_darknet_has_it_a_box_of_each() -> None:
     boxes = np.array([[10.0, 10, 8, 8]] * 2)
     found = Detections(boxes, np.array([0.7, 0.9]), np.array([0, 1]))
-    assert len(suppress_duplicates(found, 0.45)) == 2
+    assert suppress_duplicates(found, 0.45).class_ids.tolist() == [1]  # the better one
+    assert len(suppress_duplicates(found, 0.45, greedy=True)) == 2
 
 
 def test_two_droplets_that_touch_are_kept_rather_than_a_box_between_them() -> None:

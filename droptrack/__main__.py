@@ -7,7 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 COMMANDS = (
-    *("track", "batch", "detect", "train", "convert", "evaluate", "events", "analyse"),
+    *("track", "batch", "detect", "train", "adapt", "convert", "evaluate", "events", "analyse"),
     *("calibrate", "export", "anchors"),
 )
 

@@ -87,7 +87,10 @@ def main(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="PyTorch: same seed, same batches.")] = 0,
     draw: Annotated[
-        str, typer.Option(help="PyTorch: draw endless new images of a scene, e.g. tiny or full.")
+        str,
+        typer.Option(
+            help="PyTorch: draw endless new images of a scene, or set_up.npz of droptrack adapt."
+        ),
     ] = "",
     precision: Annotated[
         TrainingPrecision, typer.Option(help="PyTorch: what the network computes in.")

@@ -13,11 +13,13 @@ import cv2
 import numpy as np
 
 from data_gen.scenes.footage import ARRANGEMENTS, footage_scene
+from data_gen.scenes.own_set_up import OwnDroplets
 from data_gen.scenes.scene_kinds import HEIGHT, SCENES, WIDTH, Scene
 from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.degradation import degrade
 from droptrack.data.files import write_text
+from droptrack.data.set_up import SUFFIX
 from droptrack.errors import DroptrackError
 
 JPEG_QUALITY = 95
@@ -93,8 +95,11 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
 def image_source(scene: str) -> Callable[[np.random.Generator], tuple[Pixels, Floats]]:
     """What draws images (H, W, 3) and boxes (N, 4) px of a scene or mixture, for training.
 
+    Or of one's own droplets: `scene` is then the file that ``droptrack adapt`` made of a video.
     Raises DroptrackError for a scene that does not exist.
     """
+    if scene.endswith(SUFFIX):
+        return OwnDroplets.of_file(Path(scene))
     if scene not in list(SceneChoice):
         raise DroptrackError(f"no scene {scene}; there are {', '.join(SceneChoice)}")
     return functools.partial(_draw_image, MIXTURES.get(scene, (scene,)))

@@ -42,7 +42,7 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
         paint(canvas, outline.patch, outline.distance, look, outline.radius, outline.rim, rng)
         if rng.random() < look.inclusions:
             _paint_small_things(canvas, outline, rng)
-        box = _visible_box(outline, stop)
+        box = visible_box(outline, stop)
         if box is not None:
             boxes.append(box)
     add_dirt(rng, canvas)
@@ -57,7 +57,7 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     return Scene(image, np.array(boxes).reshape(-1, 4))
 
 
-def _visible_box(outline: Outline, stop: Bools | None) -> Floats | None:
+def visible_box(outline: Outline, stop: Bools | None) -> Floats | None:
     """The box [cx, cy, w, h] of what can be seen of a droplet, or None where that is too little."""
     if not outline.labelled or outline.patch.is_empty:
         return None

@@ -70,6 +70,7 @@ class TrainingConfig:
     draw: str = ""  # a scene, of which images are drawn instead of the data set's
     precision: TrainingPrecision = TrainingPrecision.bf16
     workers: int = DEFAULT_WORKERS  # processes a device that prepare images
+    frozen_statistics: bool = False  # batch normalisation keeps the statistics that it has
 
     def only_torch(self) -> list[str]:
         """The options given that only the PyTorch trainer has."""

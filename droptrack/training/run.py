@@ -148,6 +148,7 @@ def _prepare_torch(config: TrainingConfig, network: Cfg, data: DataSet) -> Train
         patience=config.patience,
         devices=choose_devices(config.gpus, batch, subdivisions),
         bf16=config.precision is TrainingPrecision.bf16,
+        frozen_statistics=config.frozen_statistics,
     )
     draw = _image_source(config.draw) if config.draw else None
     network = make_run_folder(config.out, network, resume=config.resume)

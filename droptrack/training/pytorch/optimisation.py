@@ -69,6 +69,10 @@ def gradient_step(
     what is learnt until here stays intact.
     """
     model.train()
+    if settings.frozen_statistics:  # those of a short training lag behind its weights
+        for module in network.modules():
+            if isinstance(module, nn.BatchNorm2d):
+                module.eval()
     device = next(network.parameters()).device
     optimizer.zero_grad(set_to_none=True)
     terms = torch.zeros(5, device=device)

@@ -27,6 +27,7 @@ class TorchSettings:
     patience: int  # mAPs without a new best that end the training; 0: never
     devices: tuple[str, ...]  # one process each: ("cuda:0", "cuda:1")
     bf16: bool  # the network computes in bfloat16; weights, gradients and loss are float32
+    frozen_statistics: bool = False  # batch normalisation keeps the statistics that it has
 
 
 @dataclass(frozen=True, kw_only=True)

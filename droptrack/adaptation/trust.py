@@ -1,0 +1,175 @@
+"""Which of the boxes that a network sees are droplets, without anybody saying so.
+
+In a video, those whose tracks are long and steady: seen before and after, in a size that stays. A
+droplet that was missed between is one, too. In images that have nothing to do with one another,
+those that every look shows (`looking`). What is neither trusted nor plainly nothing is doubtful:
+it must teach nothing.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from droptrack.adaptation.footage import Footage, LabelledShot, Shot
+from droptrack.adaptation.looking import Looks, covered, cut_by_edge, seen_in_all
+from droptrack.data.arrays import Bools, Floats
+from droptrack.data.detections import Detections
+from droptrack.data.trajectories import Trajectories
+from droptrack.tracking.choice import TrackerConfig, choose_descriptor, make_tracker
+from droptrack.tracking.recorder import concatenated
+from droptrack.tracking.session import TrackingSession
+
+TRACKED_SCORE = 0.15  # of a detection that may belong to a track
+MIN_OBSERVED = 4  # of a track
+MIN_TRACK_SCORE = 0.3  # mean, of a track
+STEADY = 0.15  # typical deviation of a droplet's size from its median, as a share of it
+MAX_DEVIATION = 0.3  # in one frame
+MAX_BRIDGED = 3  # frames one after the other in which a droplet was missed
+SURE_SCORE = 0.5  # of a droplet in an image that has no neighbours
+SURE_SHARE = 0.8  # of the looks
+DOUBT_SCORE = 0.1  # of what may be a droplet
+STILL = 0.1  # of its size: as far as a thing at rest may seem to go
+MIN_TRACKED = 0.4  # share of the droplets that have tracks, in a video
+COVERED = 0.5  # share of a doubtful box that trusted ones explain
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What is known of an image: boxes (N, 4) px of droplets, and of what may be one.
+
+    `whole` (N,): which of the droplets no edge cuts. `labelled`: a user said so.
+    """
+
+    shot: Shot
+    trusted: Floats
+    doubtful: Floats
+    labelled: bool = False
+
+    @property
+    def whole(self) -> Bools:
+        """Which of the droplets no edge cuts."""
+        return ~cut_by_edge(self.trusted, self.shot.size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """What is known of all images to learn from, and whether tracks or looks say it."""
+
+    seen: tuple[Seen, ...]
+    by_tracks: bool
+    n_tracks: int
+
+    @property
+    def n_droplets(self) -> int:
+        """Droplets in all images."""
+        return sum(len(one.trusted) for one in self.seen)
+
+
+def trust(footage: Footage, looks: Looks, progress: Iterable[Shot]) -> Trust:
+    """What is trusted in the images to learn from; `progress` yields them, one after the other."""
+    found = {id(shot): seen_in_all(looks, shot) for shot in progress}
+    if footage.moving:
+        by_tracks = _trust_tracks(
+            [[(shot, found[id(shot)][0]) for shot in stretch] for stretch in footage.stretches]
+        )
+        n_sure = sum(int((one.scores >= SURE_SCORE).sum()) for one, _ in found.values())
+        if by_tracks.n_droplets >= MIN_TRACKED * n_sure and by_tracks.n_droplets:
+            return by_tracks
+    seen = [_trust_looks(shot, *found[id(shot)]) for shot in footage.used]
+    return Trust(seen=tuple(seen), by_tracks=False, n_tracks=0)
+
+
+def of_labels(labelled: Sequence[LabelledShot]) -> list[Seen]:
+    """What a user said of images: nothing in them is doubtful."""
+    return [
+        Seen(shot=one.shot, trusted=one.truth.boxes, doubtful=one.truth.boxes[:0], labelled=True)
+        for one in labelled
+    ]
+
+
+def _trust_looks(shot: Shot, found: Detections, shares: Floats) -> Seen:
+    sure = (found.scores >= SURE_SCORE) & (shares >= SURE_SHARE)
+    return _seen(shot, found.boxes[sure], found[~sure])
+
+
+def _seen(shot: Shot, trusted: Floats, others: Detections) -> Seen:
+    """`others` are doubtful, but for what the trusted ones explain, or what is hardly anything."""
+    doubtful = others.boxes[others.scores >= DOUBT_SCORE]
+    return Seen(
+        shot=shot,
+        trusted=trusted,
+        doubtful=doubtful[covered(doubtful, trusted) < COVERED],
+    )
+
+
+def track(numbered: Iterable[tuple[int, Detections]], *, n_init: int | None = None) -> Trajectories:
+    """The tracks of detections, frame by frame; `n_init`: detections that confirm a track."""
+    config = TrackerConfig(n_init=n_init)
+    session = TrackingSession(make_tracker(config)[0])
+    nothing = choose_descriptor(config)
+    parts = []
+    for number, found in numbered:
+        blank = np.zeros((1, 1, 3), np.uint8)
+        parts.append(session.add_boxes(number, found, nothing(blank, found.boxes)))
+    parts.append(session.finish())
+    return concatenated(parts).rows
+
+
+def _trust_tracks(stretches: Sequence[Sequence[tuple[Shot, Detections]]]) -> Trust:
+    seen: list[Seen] = []
+    n_tracks = 0
+    for stretch in stretches:
+        rows = track(
+            (shot.number, found[np.flatnonzero(found.scores >= TRACKED_SCORE)])
+            for shot, found in stretch
+        )
+        good, n_good = _steady(rows, stretch[0][0].size)
+        n_tracks += n_good
+        for shot, found in stretch:
+            boxes = rows.boxes[good & (rows.frame == shot.number)]
+            rest = found[np.flatnonzero(covered(found.boxes, boxes) < COVERED)]
+            seen.append(_seen(shot, boxes, rest))
+    return Trust(seen=tuple(seen), by_tracks=True, n_tracks=n_tracks)
+
+
+def _steady(rows: Trajectories, size: tuple[int, int]) -> tuple[Bools, int]:
+    """Which rows (M,) belong to long and steady tracks, and how many tracks these are.
+
+    Where most such tracks move, those at rest are left out: they may be dirt.
+    """
+    good = np.zeros(len(rows), bool)
+    cut = cut_by_edge(rows.boxes, size)
+    sizes = np.sqrt(rows.boxes[:, 2:].prod(axis=1))
+    moved: dict[int, float] = {}
+    for track_id in np.unique(rows.track_id).tolist():
+        mine = np.flatnonzero(rows.track_id == track_id)
+        observed = mine[rows.observed[mine]]
+        whole = observed[~cut[observed]]
+        if len(observed) < MIN_OBSERVED or len(whole) < MIN_OBSERVED // 2:
+            continue
+        if rows.scores[observed].mean() < MIN_TRACK_SCORE:
+            continue
+        typical = float(np.median(sizes[whole]))
+        deviation = np.abs(sizes / typical - 1)
+        if np.median(deviation[whole]) > STEADY:
+            continue
+        kept = (deviation[mine] <= MAX_DEVIATION) | cut[mine]
+        good[mine] = kept & (rows.observed[mine] | _short_gaps(rows.observed[mine]))
+        middle = np.column_stack([rows.x[mine], rows.y[mine]])
+        moved[track_id] = float(np.ptp(middle, axis=0).max()) / typical
+    at_rest = [track_id for track_id, way in moved.items() if way < STILL]
+    if 0 < len(at_rest) < len(moved) / 2:
+        good &= ~np.isin(rows.track_id, at_rest)
+        moved = {track_id: way for track_id, way in moved.items() if way >= STILL}
+    return good, len(moved)
+
+
+def _short_gaps(observed: Bools) -> Bools:
+    """Which frames (N,) of a track are missed ones, few enough between two that are not."""
+    short = np.zeros(len(observed), bool)
+    seen = np.flatnonzero(observed)
+    for start, end in zip(seen[:-1].tolist(), seen[1:].tolist(), strict=True):
+        if end - start - 1 <= MAX_BRIDGED:
+            short[start + 1 : end] = True
+    return short

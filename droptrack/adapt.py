@@ -89,7 +89,8 @@ def main(
     done = adapt(config, functools.partial(typer.echo, err=True))
     done.report.print()
     if done.helped:
-        typer.echo(f"it helped: droptrack track {video} --weights {done.weights}")
+        scale = f"--scale {done.report.settings['scale']:.3g}"
+        typer.echo(f"it helped: droptrack track {video} --weights {done.weights} {scale}")
     else:
         typer.echo("it did not help: keep the network that you have; see docs/adapt.md")
     typer.echo(f"look at {done.folder / 'contact_sheet.png'}")

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ import numpy as np
 from droptrack.adaptation.backgrounds import background, pixels_of, views_of
 from droptrack.adaptation.trust import Seen, Trust
 from droptrack.data.arrays import Float32s, Floats, Pixels
+from droptrack.data.detections import iou_matrix
 from droptrack.data.set_up import ELLIPSE, SetUp, View, outline_distance, part_of
 
 STEP = 0.5  # px, of the distances
@@ -19,6 +20,9 @@ MAX_DEPTH = 60.0  # px inside, beyond which nothing changes
 MIN_DROPLETS = 3  # that show a distance
 MAX_MEASURED = 150  # droplets
 SHAPES = (ELLIPSE, 1.0, 0.75, 0.5)  # see SetUp.corners
+MIN_VIEW = 4  # images of a view that tell what belongs to it
+SAME_PLACE = 0.6  # IoU of what is at the same place in two images
+OFTEN = 0.5  # share of the images of a view
 CLEARLY = 0.005  # share of the variance by which a shape has to be better than those before it
 TOUCHING = 0.25  # share of the droplets that touch two others
 
@@ -49,7 +53,7 @@ def measure(trust: Trust, labelled: Sequence[Seen]) -> Measured:
         for places in views_of(group, related=related):
             if not places:
                 continue
-            mine = [group[place] for place in places]
+            mine = without_structures([group[place] for place in places])
             ordered += mine
             view_of += [len(views)] * len(mine)
             frames = tuple(one.trusted for one in mine)
@@ -73,6 +77,22 @@ def measure(trust: Trust, labelled: Sequence[Seen]) -> Measured:
         view_of=tuple(view_of),
         diameters=np.sqrt(boxes[:, 2:].prod(axis=1)),
     )
+
+
+def without_structures(seen: Sequence[Seen]) -> list[Seen]:
+    """Images of one view, in which what is at the same place in most of them is not doubtful.
+
+    It is a part of the view, and no droplet; unless the view is that of too few images.
+    """
+    if len(seen) < MIN_VIEW:
+        return list(seen)
+    kept = []
+    for one in seen:
+        often = np.zeros(len(one.doubtful))
+        for other in seen:
+            often += (iou_matrix(one.doubtful, other.doubtful) > SAME_PLACE).any(axis=1)
+        kept.append(replace(one, doubtful=one.doubtful[often <= OFTEN * len(seen)]))
+    return kept
 
 
 def _profile(

@@ -1,6 +1,7 @@
 """One adaptation from a video to weights: look, measure, draw, train, compare."""
 
 import json
+import math
 import shutil
 import time
 from dataclasses import dataclass, replace
@@ -31,7 +32,7 @@ from droptrack.data.darknet_dataset import read_data_file, read_labels
 from droptrack.data.files import replacing, write_text
 from droptrack.data.report import Report, Value
 from droptrack.data.set_up import write_set_up
-from droptrack.detection.scale import AUTO, Canvas
+from droptrack.detection.scale import AUTO, STRIDE, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.network.bundled import find_network
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, resized, with_options, yolo_heads
@@ -286,7 +287,7 @@ def _train(config: AdaptationConfig, found: _Found, data: Path, say: Say) -> Non
             map_every=config.iterations,
             map_images=1,
             optimizer=Optimizer.adamw,
-            window=(min(WINDOW[0], network.width), min(WINDOW[1], network.height)),
+            window=_window(network),
             sizes=SIZES,
             seed=config.seed,
             workers=0,  # processes forked after an engine ran in threads may wait for ever
@@ -299,6 +300,15 @@ def _train(config: AdaptationConfig, found: _Found, data: Path, say: Say) -> Non
         train(training, tell)
     with replacing(weights) as partial:
         shutil.copyfile(final, partial)
+
+
+def _window(network: Cfg) -> tuple[int, int]:
+    """What an image of a batch shows, px of the network's input: all of it, if it is small."""
+    whole = (
+        STRIDE * math.ceil(SIZES[1] * side / STRIDE) for side in (network.width, network.height)
+    )
+    width, height = (min(most, side) for most, side in zip(WINDOW, whole, strict=True))
+    return width, height
 
 
 def _compare(config: AdaptationConfig, found: _Found, began: float, say: Say) -> Adaptation:

@@ -14,7 +14,7 @@ import numpy as np
 from droptrack.adaptation.footage import Footage, LabelledShot, Shot
 from droptrack.adaptation.looking import Looks, covered, cut_by_edge, seen_in_all
 from droptrack.data.arrays import Bools, Floats
-from droptrack.data.detections import Detections
+from droptrack.data.detections import Detections, intersections
 from droptrack.data.trajectories import Trajectories
 from droptrack.tracking.choice import TrackerConfig, choose_descriptor, make_tracker
 from droptrack.tracking.recorder import concatenated
@@ -31,6 +31,7 @@ SURE_SHARE = 0.8  # of the looks
 DOUBT_SCORE = 0.1  # of what may be a droplet
 STILL = 0.1  # of its size: as far as a thing at rest may seem to go
 MIN_TRACKED = 0.4  # share of the droplets that have tracks, in a video
+INSIDE, LARGER, SURER = 0.8, 4.0, 0.15  # share of a box's area; times its area; of its score
 COVERED = 0.5  # share of a doubtful box that trusted ones explain
 
 
@@ -90,17 +91,31 @@ def of_labels(labelled: Sequence[LabelledShot]) -> list[Seen]:
 
 def _trust_looks(shot: Shot, found: Detections, shares: Floats) -> Seen:
     sure = (found.scores >= SURE_SCORE) & (shares >= SURE_SHARE)
-    return _seen(shot, found.boxes[sure], found[~sure])
+    rest = found[np.flatnonzero(~sure)]
+    return _seen(shot, found.boxes[sure], found.scores[sure], rest)
 
 
-def _seen(shot: Shot, trusted: Floats, others: Detections) -> Seen:
-    """`others` are doubtful, but for what the trusted ones explain, or what is hardly anything."""
+def _seen(shot: Shot, trusted: Floats, scores: Floats, others: Detections) -> Seen:
+    """`others` are doubtful, but for what the trusted ones explain, or what is hardly anything.
+
+    Trusted ones of lower scores (N,) in much larger ones are cells or reflections: nothing.
+    """
+    trusted = trusted[~_inside_others(trusted, scores)]
     doubtful = others.boxes[others.scores >= DOUBT_SCORE]
     return Seen(
         shot=shot,
         trusted=trusted,
         doubtful=doubtful[covered(doubtful, trusted) < COVERED],
     )
+
+
+def _inside_others(boxes: Floats, scores: Floats) -> Bools:
+    """Which boxes (N, 4) lie in a much larger one that is surer by far."""
+    areas = boxes[:, 2:].prod(axis=1)
+    shared = intersections(boxes[:, None], boxes[None]) / areas[:, None]
+    larger = areas[None] > LARGER * areas[:, None]
+    surer = scores[None] > scores[:, None] + SURER
+    return np.asarray(((shared > INSIDE) & larger & surer).any(axis=1), bool)
 
 
 def track(numbered: Iterable[tuple[int, Detections]], *, n_init: int | None = None) -> Trajectories:
@@ -127,9 +142,9 @@ def _trust_tracks(stretches: Sequence[Sequence[tuple[Shot, Detections]]]) -> Tru
         good, n_good = _steady(rows, stretch[0][0].size)
         n_tracks += n_good
         for shot, found in stretch:
-            boxes = rows.boxes[good & (rows.frame == shot.number)]
-            rest = found[np.flatnonzero(covered(found.boxes, boxes) < COVERED)]
-            seen.append(_seen(shot, boxes, rest))
+            mine = good & (rows.frame == shot.number)
+            boxes, scores = rows.boxes[mine], rows.scores[mine]
+            seen.append(_seen(shot, boxes, scores, found))
     return Trust(seen=tuple(seen), by_tracks=True, n_tracks=n_tracks)
 
 

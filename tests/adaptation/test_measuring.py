@@ -9,7 +9,7 @@ import pytest
 
 from data_gen.scenes.dataset import image_source
 from data_gen.scenes.own_set_up import OwnDroplets
-from droptrack.adaptation.appearance import Measured, measure
+from droptrack.adaptation.appearance import Measured, measure, without_structures
 from droptrack.adaptation.backgrounds import background, painted_over, views_of
 from droptrack.adaptation.crops import cut_out, paste
 from droptrack.adaptation.training_set import _in_turn, taught
@@ -186,6 +186,26 @@ def test_pasted_droplets_are_real_ones_and_their_labels_fit(measured: Measured) 
                 assert np.abs(found - box).max(axis=1).min() < 2
                 n += 1
     assert n > 8
+
+
+def test_what_is_at_one_place_in_most_images_of_a_view_is_part_of_it() -> None:
+    """A corner of the channel in four of five images, and something in one."""
+    rng = np.random.default_rng(3)
+    corner, once = np.array([300.0, 20, 30, 30]), np.array([100.0, 140, 20, 20])
+    seen = [seen_of(channel_image(frame, rng), boxes_at(frame), frame) for frame in range(5)]
+    doubtful = [[corner, once], [corner + 1], [corner], [corner - 1], []]
+    seen = [
+        replace(one, doubtful=np.array(boxes).reshape(-1, 4))
+        for one, boxes in zip(seen, doubtful, strict=True)
+    ]
+    assert [one.doubtful.tolist() for one in without_structures(seen)] == [
+        [once.tolist()],
+        [],
+        [],
+        [],
+        [],
+    ]
+    assert [len(one.doubtful) for one in without_structures(seen[:3])] == [2, 1, 1]
 
 
 def test_what_is_painted_over_is_gone_and_the_rest_stays() -> None:

@@ -1,6 +1,7 @@
 """Which boxes are trusted, which images are used, and what makes a network better: by hand."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from droptrack.adaptation.comparison import Quality, n_alike, verdict
 from droptrack.adaptation.footage import _choose, is_still
 from droptrack.adaptation.looking import covered, fuse, within
-from droptrack.adaptation.trust import _steady, _trust_tracks, track
+from droptrack.adaptation.trust import _inside_others, _steady, _trust_tracks, track
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
 from tests.adaptation.drawn import channel_image, shot_of
@@ -139,9 +140,7 @@ BEFORE = Quality(
         ({"agreement_percent": 90, "average_precision_50_percent": 80}, True),
     ],
 )
-def test_it_helped_where_more_got_better_than_worse(
-    changes: dict[str, float], helped: bool
-) -> None:
+def test_it_helped_where_more_got_better_than_worse(changes: dict[str, Any], helped: bool) -> None:
 
     before = BEFORE
     if "average_precision_50_percent" in changes:
@@ -154,3 +153,10 @@ def test_labels_decide_where_there_are_some() -> None:
     before = replace(BEFORE, average_precision_50_percent=90)
     after = replace(before, agreement_percent=95, average_precision_50_percent=85)
     assert verdict(before, after) == (False, "worse: average precision 50")
+
+
+def test_cells_in_a_plug_are_nothing_and_cores_in_a_shell_are_droplets() -> None:
+    """A cell's score is lower than its plug's; a core's is not."""
+    boxes = np.array([[100.0, 100, 120, 60], [90, 100, 20, 20], [120, 100, 25, 25]])
+    assert _inside_others(boxes, np.array([0.9, 0.5, 0.85])).tolist() == [False, True, False]
+    assert _inside_others(boxes, np.array([0.3, 0.5, 0.85])).tolist() == [False, False, False]

@@ -18,6 +18,8 @@ MARGIN_PX = 3.0
 THUMBNAIL = 48  # px, the sides of what images are compared by
 ALIKE = 12.0  # grey levels: the typical difference of images of one view
 ROWS_AT_ONCE = 64
+MIN_KNOWN = 0.35  # share of the pixels, of a background that has details
+SMOOTH_SHARE = 8  # of an image's side, over which others vary
 FILL_PX = 4  # what no image shows is filled at so many times fewer px
 
 
@@ -94,11 +96,16 @@ def covered_by(boxes: Floats, size: tuple[int, int]) -> Bools:
 
 
 def _filled(image: Pixels, known: Bools) -> Pixels:
-    """An image whose unknown pixels continue those around them."""
+    """An image whose unknown pixels continue those around them.
+
+    Where hardly any are known, as between droplets that fill the image, all of it becomes smooth.
+    """
     if known.all():
         return image
     if not known.any():
         return np.full_like(image, 128)
+    if known.mean() < MIN_KNOWN:
+        return _smooth(image, known)
     height, width = known.shape
     small = (max(1, width // FILL_PX), max(1, height // FILL_PX))
     weight = cv2.resize(known.astype(np.float32), small, None, 0, 0, cv2.INTER_AREA)
@@ -111,6 +118,18 @@ def _filled(image: Pixels, known: Bools) -> Pixels:
         large = cv2.resize(whole, (width, height), None, 0, 0, cv2.INTER_LINEAR)
         filled[..., channel] = np.where(known, image[..., channel], large)
     return filled
+
+
+def _smooth(image: Pixels, known: Bools) -> Pixels:
+    """What the known pixels have in common, slowly varying."""
+    sigma = max(known.shape) / SMOOTH_SHARE
+    weight = cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma)
+    smooth = np.empty_like(image)
+    for channel in range(image.shape[2]):
+        levels = np.where(known, image[..., channel], 0).astype(np.float32)
+        mean = cv2.GaussianBlur(levels, (0, 0), sigma) / np.maximum(weight, 1e-6)
+        smooth[..., channel] = np.clip(np.round(mean), 0, 255)
+    return smooth
 
 
 def painted_over(image: Pixels, boxes: Floats, background: Pixels) -> Pixels:

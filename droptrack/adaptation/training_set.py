@@ -129,7 +129,7 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
     return {
         "seen": real(seen) if seen else None,
         "labelled": real(labelled) if labelled else None,
-        "pasted": pasted if crops and views else None,
+        "pasted": pasted if crops and views and not measured.set_up.dense else None,
         "drawn": drawn,
         "known": known,
     }

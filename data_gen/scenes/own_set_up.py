@@ -32,7 +32,7 @@ class OwnDroplets:
     def __call__(self, rng: np.random.Generator) -> tuple[Pixels, Floats]:
         """The next image, and its boxes."""
         set_up = self.set_up
-        counts = np.array([len(view.frames) for view in set_up.views])
+        counts = np.array([sum(map(len, view.frames)) for view in set_up.views])
         view = set_up.views[rng.choice(len(counts), p=counts / counts.sum())]
         canvas = view.background.astype(np.float32)
         strength, stretch = rng.uniform(0.75, 1.25), rng.uniform(0.85, 1.2)

@@ -102,10 +102,11 @@ def _profile(
 
     The best shape is that along whose outline grey levels vary least, and so across it most.
     """
+    any_whole = any(one.whole.any() for one in seen)
     droplets = [
         (one, view, box)
         for one, view in zip(seen, view_of, strict=True)
-        for box in one.trusted[one.whole]
+        for box in one.trusted[one.whole if any_whole else slice(None)]
     ]
     droplets = droplets[:: max(1, len(droplets) // MAX_MEASURED)]
     parts = []

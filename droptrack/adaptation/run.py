@@ -25,7 +25,13 @@ from droptrack.adaptation.footage import (
     read_labelled,
 )
 from droptrack.adaptation.looking import Looks, open_looks, seen_once
-from droptrack.adaptation.training_set import Draw, Ingredients, write_training_set
+from droptrack.adaptation.training_set import (
+    N_TRAIN,
+    N_VALID,
+    Draw,
+    Ingredients,
+    write_training_set,
+)
 from droptrack.adaptation.trust import Trust, of_labels, trust
 from droptrack.data.arrays import Floats
 from droptrack.data.darknet_dataset import read_data_file, read_labels
@@ -45,6 +51,7 @@ from droptrack.training.run import train
 from droptrack.version import __version__
 
 NAME = "adapted"  # of the network
+CLAIM = "adapt.json"  # in the folder: what is adapted, and how
 MIN_DROPLETS = 10  # that adapt can learn from
 WINDOW = (416, 224)  # px of the network's input that an image of a batch shows, at most
 SIZES = (0.8, 1.25)  # range of the factor on the scale in training
@@ -75,8 +82,10 @@ def adapt(config: AdaptationConfig, say: Say = to_stderr) -> Adaptation:
     learned from, before any weights are written.
     """
     began = time.perf_counter()
-    _check(config)
+    wanted = _check(config)
     found = _look(config, say)
+    config.out.mkdir(parents=True, exist_ok=True)
+    write_text(config.out / CLAIM, json.dumps(wanted, indent=1) + "\n")
     drawn = _draw(config, found, say)
     _train(config, found, drawn, say)
     return _compare(config, found, began, say)
@@ -95,8 +104,11 @@ class _Found:
     weights: Path  # it starts from
 
 
-def _check(config: AdaptationConfig) -> None:
-    """Claim the folder; raises DroptrackError where it is another's, or nothing can be trained."""
+def _check(config: AdaptationConfig) -> dict[str, Value]:
+    """All that decides the result.
+
+    Raises DroptrackError where nothing can be trained, or the folder has other results.
+    """
     if find_spec("torch") is None:
         raise DroptrackError("adapt trains with PyTorch: pip install 'droptrack[train]'")
     network, weights = find_network(config.weights, config.cfg, config.size)
@@ -106,7 +118,7 @@ def _check(config: AdaptationConfig) -> None:
             f"{network.path}: has {max(classes)} classes; adapt knows droplets only, one class"
         )
     wanted = _settings(config, network, weights)
-    claim = config.out / "adapt.json"
+    claim = config.out / CLAIM
     if config.resume:
         if not claim.exists():
             raise DroptrackError(f"{config.out}: has no adaptation; start without --resume")
@@ -117,17 +129,14 @@ def _check(config: AdaptationConfig) -> None:
                 f"{config.out}: was begun with other {', '.join(differing)}; the same ones resume "
                 "it, another --out begins anew"
             )
-        return
-    if config.out.exists() and any(config.out.iterdir()):
+    elif config.out.exists() and any(config.out.iterdir()):
         raise DroptrackError(
             f"{config.out}: is not empty; choose another --out, or resume with --resume"
         )
-    config.out.mkdir(parents=True, exist_ok=True)
-    write_text(claim, json.dumps(wanted, indent=1) + "\n")
+    return wanted
 
 
 def _settings(config: AdaptationConfig, network: Cfg, weights: Path) -> dict[str, Value]:
-    """All that decides the result."""
     scale = config.scale
     return {
         "made by": f"droptrack {__version__}, droptrack.adapt",
@@ -243,7 +252,7 @@ def _draw(config: AdaptationConfig, found: _Found, say: Say) -> Path:
         network=(found.network.width, found.network.height),
     )
     with progress_bar("images") as bar:
-        task = bar.add_task("drawing", total=None, note="")
+        task = bar.add_task("drawing", total=N_TRAIN + N_VALID, note="")
         for n in write_training_set(folder, given, config.seed):
             bar.update(task, completed=n)
     return folder / "obj.data"

@@ -11,7 +11,7 @@ from droptrack.adaptation.run import adapt
 from droptrack.command_line import new_app, one_line_errors
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
-from droptrack.detection.scale import parse_scale
+from droptrack.detection.scale import parse_diameter, parse_scale
 from droptrack.options import (
     BackendOption,
     CfgOption,
@@ -74,7 +74,7 @@ def main(
         weights=weights,
         cfg=cfg,
         scale=None if scale is None else parse_scale(scale),
-        diameter_px=diameter,
+        diameter_px=None if diameter is None else parse_diameter(diameter),
         iterations=iterations,
         batch=batch,
         learning_rate=rate,

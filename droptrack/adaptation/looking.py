@@ -19,7 +19,7 @@ from droptrack.data.detections import (
     xyxy_from_boxes,
 )
 from droptrack.data.samples import N_SAMPLES, spread
-from droptrack.detection.detector import Detector
+from droptrack.detection.detector import Finder
 from droptrack.detection.suppression import suppress_duplicates
 from droptrack.pipeline.config import DetectorConfig
 from droptrack.pipeline.notes import Say
@@ -36,8 +36,9 @@ MIN_SIDE_PX = 1.0
 class Looks:
     """Detectors at several scales, the first at the one that was chosen."""
 
-    detectors: tuple[Detector, ...]
+    detectors: tuple[Finder, ...]
     opened: OpenedDetector
+    max_iou: float  # of two boxes, above which they are one droplet
 
     @property
     def scale(self) -> float:
@@ -59,7 +60,11 @@ def open_looks(config: DetectorConfig, shots: Sequence[Shot], say: Say) -> Looks
         opened(replace(low, size=None, diameter_px=None, scale=first.scale * factor), _silent)
         for factor in FACTORS[1:]
     ]
-    return Looks(detectors=tuple(one.detector for one in (first, *others)), opened=first)
+    return Looks(
+        detectors=tuple(one.detector for one in (first, *others)),
+        opened=first,
+        max_iou=config.max_iou,
+    )
 
 
 def _silent(_: str) -> None:
@@ -89,7 +94,7 @@ def seen_in_all(looks: Looks, shot: Shot) -> tuple[Detections, Floats]:
                 found = Detections(boxes, found.scores, found.class_ids)
             parts.append(within(found, shot.size))
     fused, shares = fuse(parts)
-    keep = suppress_duplicates(fused, looks.opened.detector.max_iou, greedy=True)
+    keep = suppress_duplicates(fused, looks.max_iou, greedy=True)
     order = {tuple(box): share for box, share in zip(fused.boxes.tolist(), shares, strict=True)}
     return keep, np.array([order[tuple(box)] for box in keep.boxes.tolist()])
 

@@ -117,6 +117,8 @@ def _check(config: AdaptationConfig) -> dict[str, Value]:
         raise DroptrackError(
             f"{network.path}: has {max(classes)} classes; adapt knows droplets only, one class"
         )
+    if isinstance(config.diameter_px, tuple):
+        raise DroptrackError("adapt learns at one scale: give one --diameter, a typical one")
     wanted = _settings(config, network, weights)
     claim = config.out / CLAIM
     if config.resume:
@@ -147,7 +149,7 @@ def _settings(config: AdaptationConfig, network: Cfg, weights: Path) -> dict[str
         "weights sha256": sha256_of(weights),
         "size": config.size or "",
         "scale": "" if scale is None else str(scale),
-        "diameter_px": config.diameter_px or 0.0,
+        "diameter_px": str(config.diameter_px or ""),
         "levels": str(config.reading.levels or ""),
         "channel": str(config.reading.channel),
         "iterations": config.iterations,

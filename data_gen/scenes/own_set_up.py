@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.scenes.distances import Patch, cell_distance, patch_around
+from data_gen.scenes.distances import cell_distance, patch_around
 from data_gen.scenes.footage import visible_box
 from data_gen.scenes.outlines import MAX_NEIGHBOURS, Outline
 from droptrack.data.arrays import Float32s, Floats, Pixels
 from droptrack.data.detections import iou_matrix
-from droptrack.data.set_up import SetUp, View, outline_distance, read_set_up
+from droptrack.data.set_up import Profile, SetUp, View, outline_distance, read_set_up
 
 SIZE_SPREAD = 0.08  # by which sizes vary beside those seen, standard deviation of the logarithm
 PLACE_SPREAD = 0.05  # by which places vary, of the size
@@ -39,7 +39,7 @@ class OwnDroplets:
         boxes = []
         for outline in self._outlines(rng, view):
             own = strength * rng.normal(1, 0.06)
-            self._paint(canvas, outline.patch, outline.distance * np.float32(stretch), own)
+            _paint(canvas, outline, view.profile, stretch, own)
             box = visible_box(outline, None)
             if box is not None:
                 boxes.append(box)
@@ -61,7 +61,7 @@ class OwnDroplets:
             patch = patch_around(shape, box[:2], float(box[2:].max()) / 2 + MARGIN_PX)
             if patch.is_empty:
                 continue
-            distance = outline_distance(box, self.set_up.corners, patch.x, patch.y)
+            distance = outline_distance(box, view.profile.corners, patch.x, patch.y)
             found.append(
                 Outline(
                     patch=patch,
@@ -73,12 +73,15 @@ class OwnDroplets:
             )
         return found
 
-    def _paint(self, canvas: Float32s, patch: Patch, distance: Float32s, strength: float) -> None:
-        """Add a droplet's grey levels, in place."""
-        at, profile = self.set_up.distances, self.set_up.profile
-        for channel in range(canvas.shape[2]):
-            levels = np.interp(distance, at, profile[:, channel], right=0.0)
-            canvas[patch.rows, patch.columns, channel] += np.float32(strength) * levels
+
+def _paint(
+    canvas: Float32s, outline: Outline, profile: Profile, stretch: float, strength: float
+) -> None:
+    """Add a droplet's grey levels to a canvas (H, W, C), in place."""
+    distance, patch = outline.distance * np.float32(stretch), outline.patch
+    for channel in range(canvas.shape[2]):
+        levels = np.interp(distance, profile.distances, profile.levels[:, channel], right=0.0)
+        canvas[patch.rows, patch.columns, channel] += np.float32(strength) * levels
 
 
 def _apart(rng: np.random.Generator, view: View) -> Floats:

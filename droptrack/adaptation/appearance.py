@@ -12,14 +12,15 @@ from droptrack.adaptation.backgrounds import background, pixels_of, views_of
 from droptrack.adaptation.trust import Seen, Trust
 from droptrack.data.arrays import Float32s, Floats, Pixels
 from droptrack.data.detections import iou_matrix
-from droptrack.data.set_up import ELLIPSE, SetUp, View, outline_distance, part_of
+from droptrack.data.set_up import ELLIPSE, Profile, SetUp, View, outline_distance, part_of
 
 STEP = 0.5  # px, of the distances
 OUTSIDE = 6.0  # px from the outline, as far as a droplet changes what is around it
 MAX_DEPTH = 60.0  # px inside, beyond which nothing changes
 MIN_DROPLETS = 3  # that show a distance
 MAX_MEASURED = 150  # droplets
-SHAPES = (ELLIPSE, 1.0, 0.75, 0.5)  # see SetUp.corners
+SHAPES = (ELLIPSE, 1.0, 0.75, 0.5)  # see Profile.corners
+MIN_OWN = 8  # droplets of a view that has a profile of its own
 MIN_VIEW = 4  # images of a view that tell what belongs to it
 SAME_PLACE = 0.6  # IoU of what is at the same place in two images
 OFTEN = 0.5  # share of the images of a view
@@ -46,36 +47,36 @@ class Measured:
 
 def measure(trust: Trust, labelled: Sequence[Seen]) -> Measured:
     """The look of droplets that are known, those of a user's labels included."""
-    views: list[View] = []
-    ordered: list[Seen] = []
-    view_of: list[int] = []
-    for group, related in ((list(trust.seen), trust.by_tracks), (list(labelled), False)):
-        for places in views_of(group, related=related):
-            if not places:
-                continue
-            mine = without_structures([group[place] for place in places])
-            ordered += mine
-            view_of += [len(views)] * len(mine)
-            frames = tuple(one.trusted for one in mine)
-            views.append(View(background=background(mine), frames=frames))
-    channels = min(view.background.shape[2] for view in views)
-    views = [View(background=v.background[..., :channels], frames=v.frames) for v in views]
-    distances, profile, corners = _profile(ordered, view_of, views)
+    groups = [
+        without_structures([group[place] for place in places])
+        for group, related in ((list(trust.seen), trust.by_tracks), (list(labelled), False))
+        for places in views_of(group, related=related)
+        if places
+    ]
+    behind = [background(group) for group in groups]
+    channels = min(image.shape[2] for image in behind)
+    behind = [image[..., :channels] for image in behind]
+    common = _profile(
+        [one for group, image in zip(groups, behind, strict=True) for one in _parts(group, image)]
+    )
+    views = []
+    for group, image in zip(groups, behind, strict=True):
+        parts = _parts(group, image)
+        profile = _profile(parts) if len(parts) >= MIN_OWN else common
+        frames = tuple(one.trusted for one in group)
+        views.append(View(background=image, frames=frames, profile=profile))
+    ordered = [one for group in groups for one in group]
     whole = [np.zeros((0, 4)), *(one.trusted[one.whole] for one in ordered)]
-    boxes = np.concatenate(whole)
     set_up = SetUp(
         views=tuple(views),
-        distances=distances,
-        profile=profile,
-        corners=corners,
         noise=_noise(ordered, related=trust.by_tracks),
         dense=_is_dense(ordered),
     )
     return Measured(
         set_up=set_up,
         seen=tuple(ordered),
-        view_of=tuple(view_of),
-        diameters=np.sqrt(boxes[:, 2:].prod(axis=1)),
+        view_of=tuple(v for v, group in enumerate(groups) for _ in group),
+        diameters=np.sqrt(np.concatenate(whole)[:, 2:].prod(axis=1)),
     )
 
 
@@ -95,60 +96,66 @@ def without_structures(seen: Sequence[Seen]) -> list[Seen]:
     return kept
 
 
-def _profile(
-    seen: Sequence[Seen], view_of: Sequence[int], views: Sequence[View]
-) -> tuple[Floats, Floats, float]:
-    """Distances (K,), grey levels (K, C) there, and the corners of the shape that they follow best.
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """A droplet: box (4,), pixels at x (W,), y (H,) around it, and how they change (H, W, C)."""
 
-    The best shape is that along whose outline grey levels vary least, and so across it most.
-    """
+    box: Floats
+    x: Float32s
+    y: Float32s
+    change: Float32s
+
+
+def _parts(seen: Sequence[Seen], behind: Pixels) -> list[_Part]:
+    """Up to MAX_MEASURED of the droplets of a view; those that no edge cuts, if there are any."""
     any_whole = any(one.whole.any() for one in seen)
     droplets = [
-        (one, view, box)
-        for one, view in zip(seen, view_of, strict=True)
-        for box in one.trusted[one.whole if any_whole else slice(None)]
+        (one, box) for one in seen for box in one.trusted[one.whole if any_whole else slice(None)]
     ]
-    droplets = droplets[:: max(1, len(droplets) // MAX_MEASURED)]
+    height, width = behind.shape[:2]
     parts = []
-    for one, view, box in droplets:
-        height, width = one.shot.frame.shape[:2]
+    for one, box in droplets[:: max(1, len(droplets) // MAX_MEASURED)]:
         rows, columns, x, y = part_of(box, (width, height), OUTSIDE)
-        behind = views[view].background[rows, columns].astype(np.float32)
-        change = pixels_of(one)[rows, columns, : behind.shape[2]] - behind
-        parts.append((box, x, y, change))
-    best: tuple[float, Floats, Floats, float] | None = None
-    for corners in SHAPES:
-        distances, levels, explained = _levels(parts, corners)
-        if best is None or explained > best[0] + CLEARLY:
-            best = (explained, distances, levels, corners)
-    assert best is not None
-    return best[1], best[2], best[3]
+        pixels = pixels_of(one)[rows, columns, : behind.shape[2]].astype(np.float32)
+        parts.append(_Part(box=box, x=x, y=y, change=pixels - behind[rows, columns]))
+    return parts
 
 
-def _levels(
-    parts: Sequence[tuple[Floats, Float32s, Float32s, Float32s]], corners: float
-) -> tuple[Floats, Floats, float]:
-    """Distances (K,) from droplets of a shape, the typical change of grey level (K, C) there.
+def _profile(parts: Sequence[_Part]) -> Profile:
+    """Grey levels of droplets, for the shape that they follow best.
 
-    Of each droplet (box, x, y, change), the mean at a distance; of all droplets, the median. It
-    ends with nothing where the change does. Also the share of the changes' variance that the
-    distance explains.
+    That is the one of which the distance from the outline explains most of their variance.
     """
-    depth = min(MAX_DEPTH, max(float(box[2:].min()) / 2 for box, *_ in parts))
+    best, most = None, -np.inf
+    for corners in SHAPES:
+        profile, explained = _levels(parts, corners)
+        if best is None or explained > most + CLEARLY:
+            best, most = profile, explained
+    assert best is not None
+    return best
+
+
+def _levels(parts: Sequence[_Part], corners: float) -> tuple[Profile, float]:
+    """The typical change of grey level at distances from droplets of a shape.
+
+    Of each droplet, the mean at a distance; of all droplets, the median. It ends with nothing where
+    the change does. Also the share of the changes' variance that the distance explains.
+    """
+    depth = min(MAX_DEPTH, max(float(one.box[2:].min()) / 2 for one in parts))
     n_inside = int(np.ceil(depth / STEP))
     edges = np.arange(-n_inside, round(OUTSIDE / STEP) + 1) * STEP
-    n, channels = len(edges) - 1, parts[0][3].shape[2]
+    n, channels = len(edges) - 1, parts[0].change.shape[2]
     means = np.full((len(parts), n, channels), np.nan)
     explained = np.zeros(len(parts))
-    for i, (box, x, y, change) in enumerate(parts):
-        distance = outline_distance(box, corners, x, y)
+    for i, one in enumerate(parts):
+        distance = outline_distance(one.box, corners, one.x, one.y)
         place = np.floor((distance - edges[0]) / STEP).astype(int).ravel()
         inside = (place >= 0) & (place < n)
         place = place[inside]
         count = np.bincount(place, minlength=n)
         between = within = 0.0
         for channel in range(channels):
-            values = change[..., channel].ravel()[inside]
+            values = one.change[..., channel].ravel()[inside]
             total = np.bincount(place, values, n)
             means[i, count > 0, channel] = total[count > 0] / count[count > 0]
             rest = values - means[i, place, channel]
@@ -163,7 +170,8 @@ def _levels(
     outer = distances > 0
     levels[outer] *= np.clip(1.5 - 1.5 * distances[outer, None] / OUTSIDE, 0, 1)
     levels[-1] = 0
-    return distances, levels, float(np.median(explained))
+    profile = Profile(distances=distances, levels=levels, corners=corners)
+    return profile, float(np.median(explained))
 
 
 def _noise(seen: Sequence[Seen], *, related: bool) -> float:

@@ -21,10 +21,14 @@ TRIES = 10  # places that are tried for each
 
 @dataclass(frozen=True)
 class Crop:
-    """A droplet: what it changes, (h, w, C) grey levels, and its box (4,) px in that part."""
+    """A droplet: what it changes, (h, w, C) grey levels, and its box (4,) px in that part.
+
+    `view`: the number of the view that it was cut out of.
+    """
 
     change: Float32s
     box: Floats
+    view: int
 
 
 def cut_out(measured: Measured, rng: np.random.Generator) -> list[Crop]:
@@ -36,18 +40,19 @@ def cut_out(measured: Measured, rng: np.random.Generator) -> list[Crop]:
     ]
     order = rng.permutation(len(places))
     chosen = sorted((places[i] for i in order), key=lambda place: not place[0])[:MAX_CROPS]
-    corners = measured.set_up.corners
     crops = []
     for _, number, box in chosen:
-        one, behind = measured.seen[number], measured.background_of(number)
+        one, number_of_view = measured.seen[number], measured.view_of[number]
+        view = measured.set_up.views[number_of_view]
+        behind = view.background
         height, width, channels = behind.shape
         rows, columns, x, y = part_of(box, (width, height), OUTSIDE)
-        distance = outline_distance(box, corners, x, y)
+        distance = outline_distance(box, view.profile.corners, x, y)
         share = np.clip((OUTSIDE - distance) / SOFT_PX, 0, 1)[..., None]
         change = pixels_of(one)[rows, columns, :channels].astype(np.float32)
         change -= behind[rows, columns]
         place = box - [columns.start, rows.start, 0, 0]
-        crops.append(Crop(np.asarray(share * change, np.float32), place))
+        crops.append(Crop(np.asarray(share * change, np.float32), place, number_of_view))
     return crops
 
 
@@ -85,7 +90,7 @@ def _varied(rng: np.random.Generator, crop: Crop) -> Crop:
     resized = cv2.resize(np.ascontiguousarray(change), size)
     resized = np.asarray(resized, np.float32).reshape(size[1], size[0], -1)
     box *= np.tile(np.array(size) / [width, height], 2)
-    return Crop(resized * np.float32(rng.uniform(0.85, 1.15)), box)
+    return Crop(resized * np.float32(rng.uniform(0.85, 1.15)), box, crop.view)
 
 
 def _add(canvas: Float32s, crop: Crop, centre: Floats, placed: Floats) -> Floats | None:

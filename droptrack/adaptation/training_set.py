@@ -102,7 +102,11 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
     everything = list(enumerate(measured.seen))
     seen = [(i, one) for i, one in everything if not one.labelled and len(one.trusted)]
     labelled = [(i, one) for i, one in everything if one.labelled]
-    views = [view for view in measured.set_up.views if len(np.concatenate(view.frames))]
+    of_view = [
+        (view, [crop for crop in crops if crop.view == v])
+        for v, view in enumerate(measured.set_up.views)
+    ]
+    views = [(view, mine) for view, mine in of_view if mine]
 
     def real(images: list[tuple[int, Seen]]) -> Maker:
         def make(rng: np.random.Generator, n: int) -> Image:
@@ -112,10 +116,10 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
         return make
 
     def pasted(rng: np.random.Generator, n: int) -> Image:
-        view = views[n % len(views)]
+        view, mine = views[n % len(views)]
         if rng.random() < EMPTY:
             return view.background, np.zeros((0, 4))
-        image, boxes = paste(rng, view, crops)
+        image, boxes = paste(rng, view, mine)
         return image, taught(boxes, given.scale)
 
     def drawn(rng: np.random.Generator, n: int) -> Image:
@@ -129,7 +133,7 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
     return {
         "seen": real(seen) if seen else None,
         "labelled": real(labelled) if labelled else None,
-        "pasted": pasted if crops and views and not measured.set_up.dense else None,
+        "pasted": pasted if views and not measured.set_up.dense else None,
         "drawn": drawn,
         "known": known,
     }

@@ -14,34 +14,45 @@ from droptrack.data.files import reading, replacing
 from droptrack.errors import DroptrackError
 
 SUFFIX = ".npz"  # of its file
-ELLIPSE = 0.0  # the `corners` of droplets that are ellipses
+ELLIPSE = 0.0  # the `Profile.corners` of droplets that are ellipses
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """Grey levels of a droplet, relative to what is behind it.
+
+    `distances` (K,) px, equally far apart, from the outline, negative inside, and `levels` (K, C)
+    there. `corners`: the radius of the outline's corners, of half the droplet's smaller side: 1 for
+    round ends, 0 (ELLIPSE) for an ellipse.
+    """
+
+    distances: Floats
+    levels: Floats
+    corners: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """One view of the camera: its image without droplets, and where droplets were seen in it.
+    """One view of the camera: its image without droplets, and what droplets were seen in it.
 
-    `background` (H, W, C) grey levels, C is 1 or 3; `frames`: the boxes (N, 4) px of each frame.
+    `background` (H, W, C) grey levels, C is 1 or 3; `frames`: the boxes (N, 4) px of each frame;
+    `profile`: what they look like.
     """
 
     background: Pixels
     frames: tuple[Floats, ...]
+    profile: Profile
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetUp:
     """What droplets look like in a video.
 
-    `views`: all of one size. `distances` (K,) px, equally far apart, from a droplet's outline,
-    negative inside, and `profile` (K, C), grey levels relative to the background there. `corners`:
-    the radius of its corners, of half its smaller side: 1 for round ends, 0 for an ellipse.
-    `noise`: standard deviation, grey levels. `dense`: droplets press on one another.
+    `views`: all of one size. `noise`: standard deviation, grey levels. `dense`: droplets press on
+    one another.
     """
 
     views: tuple[View, ...]
-    distances: Floats
-    profile: Floats
-    corners: float
     noise: float
     dense: bool
 
@@ -86,16 +97,14 @@ def outline_distance(box: Floats, corners: float, x: Float32s, y: Float32s) -> F
 
 def write_set_up(path: Path, set_up: SetUp) -> None:
     """Write the file that `read_set_up` reads, whole or not at all."""
-    arrays: dict[str, Floats | Pixels] = {
-        "distances": set_up.distances,
-        "profile": set_up.profile,
-        "numbers": np.array([set_up.corners, set_up.noise, float(set_up.dense)]),
-    }
+    arrays: dict[str, Floats | Pixels] = {"numbers": np.array([set_up.noise, set_up.dense])}
     for v, view in enumerate(set_up.views):
         arrays[f"background_{v}"] = view.background
-        counts = [len(boxes) for boxes in view.frames]
-        arrays[f"counts_{v}"] = np.array(counts, float)
+        arrays[f"counts_{v}"] = np.array([len(boxes) for boxes in view.frames], float)
         arrays[f"boxes_{v}"] = np.concatenate([np.zeros((0, 4)), *view.frames])
+        arrays[f"distances_{v}"] = view.profile.distances
+        arrays[f"levels_{v}"] = view.profile.levels
+        arrays[f"corners_{v}"] = np.array([view.profile.corners])
     with replacing(path) as partial, partial.open("wb") as file:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
@@ -108,16 +117,19 @@ def read_set_up(path: Path) -> SetUp:
             while f"background_{len(views)}" in held:
                 v = len(views)
                 ends = np.cumsum(held[f"counts_{v}"].astype(int))[:-1]
-                frames = tuple(np.split(held[f"boxes_{v}"], ends))
-                views.append(View(background=held[f"background_{v}"], frames=frames))
-            corners, noise, dense = held["numbers"].tolist()
-            return SetUp(
-                views=tuple(views),
-                distances=held["distances"],
-                profile=held["profile"],
-                corners=corners,
-                noise=noise,
-                dense=bool(dense),
-            )
+                profile = Profile(
+                    distances=held[f"distances_{v}"],
+                    levels=held[f"levels_{v}"],
+                    corners=float(held[f"corners_{v}"][0]),
+                )
+                views.append(
+                    View(
+                        background=held[f"background_{v}"],
+                        frames=tuple(np.split(held[f"boxes_{v}"], ends)),
+                        profile=profile,
+                    )
+                )
+            noise, dense = held["numbers"].tolist()
+            return SetUp(views=tuple(views), noise=noise, dense=bool(dense))
     except (KeyError, zipfile.BadZipFile):
         raise DroptrackError(f"{path}: is no file of droptrack adapt, or a damaged one") from None

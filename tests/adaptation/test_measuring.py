@@ -18,6 +18,7 @@ from droptrack.data.arrays import Float32s, Floats, Pixels
 from droptrack.data.detections import iou_matrix
 from droptrack.data.set_up import (
     ELLIPSE,
+    Profile,
     SetUp,
     View,
     outline_distance,
@@ -77,13 +78,15 @@ def test_two_views_of_a_camera_are_told_apart() -> None:
 def test_diameters_noise_and_shape_are_those_drawn(measured: Measured) -> None:
     assert np.median(measured.diameters) == pytest.approx(2 * RADIUS, abs=0.01)
     assert measured.set_up.noise == pytest.approx(NOISE, rel=0.1)
-    assert measured.set_up.corners in (ELLIPSE, 1.0)  # of a disc they are the same
+    (view,) = measured.set_up.views
+    assert view.profile.corners in (ELLIPSE, 1.0)  # of a disc they are the same
     assert not measured.set_up.dense
 
 
 def test_the_grey_levels_of_a_filled_droplet_are_those_drawn(measured: Measured) -> None:
     """170 levels inside, none outside, half of them at the outline."""
-    at, profile = measured.set_up.distances, measured.set_up.profile[:, 0]
+    profile_of = measured.set_up.views[0].profile
+    at, profile = profile_of.distances, profile_of.levels[:, 0]
     assert np.interp([-15, -5, -2], at, profile) == pytest.approx([170] * 3, abs=2)
     assert np.interp([2, 4], at, profile) == pytest.approx([0, 0], abs=1)
     assert 60 < np.interp(0, at, profile) < 110
@@ -104,12 +107,12 @@ def _rimmed(box: Floats, corners: float) -> Pixels:
 def test_rims_and_outlines_are_those_drawn(corners: float) -> None:
     boxes = [np.array([100.0 + 5 * k, 80, 110, 50]) for k in range(8)]
     seen = [seen_of(_rimmed(box, corners), box[None], k) for k, box in enumerate(boxes)]
-    set_up = measure(Trust(seen=tuple(seen), by_tracks=False, n_tracks=0), []).set_up
-    assert set_up.corners == corners
-    deepest = set_up.distances[set_up.profile[:, 0].argmin()]
-    assert deepest == pytest.approx(-3, abs=0.5)
-    assert set_up.profile.min() == pytest.approx(-70, abs=4)
-    assert np.interp(-15, set_up.distances, set_up.profile[:, 0]) == pytest.approx(0, abs=3)
+    (view,) = measure(Trust(seen=tuple(seen), by_tracks=True, n_tracks=1), []).set_up.views
+    assert view.profile.corners == corners
+    at, levels = view.profile.distances, view.profile.levels[:, 0]
+    assert at[levels.argmin()] == pytest.approx(-3, abs=0.5)
+    assert levels.min() == pytest.approx(-70, abs=4)
+    assert np.interp(-15, at, levels) == pytest.approx(0, abs=3)
 
 
 def _filled(*, dense: bool) -> SetUp:
@@ -124,11 +127,13 @@ def _filled(*, dense: bool) -> SetUp:
             View(
                 background=np.zeros((HEIGHT, WIDTH, 1), np.uint8),
                 frames=(packed if dense else apart, apart + rng.normal(0, 1, apart.shape)),
+                profile=Profile(
+                    distances=at,
+                    levels=np.where(at < 0, 200.0, 0.0)[:, None],
+                    corners=ELLIPSE,
+                ),
             ),
         ),
-        distances=at,
-        profile=np.where(at < 0, 200.0, 0.0)[:, None],
-        corners=ELLIPSE,
         noise=0.0,
         dense=dense,
     )
@@ -223,12 +228,12 @@ def test_a_set_up_is_read_as_it_was_written(measured: Measured, tmp_path: Path) 
     path = tmp_path / "set_up.npz"
     write_set_up(path, measured.set_up)
     again = read_set_up(path)
-    assert (again.corners, again.noise, again.dense) == pytest.approx(
-        (measured.set_up.corners, measured.set_up.noise, measured.set_up.dense)
-    )
-    np.testing.assert_array_equal(again.profile, measured.set_up.profile)
+    assert (again.noise, again.dense) == (measured.set_up.noise, measured.set_up.dense)
     for one, other in zip(again.views, measured.set_up.views, strict=True):
         np.testing.assert_array_equal(one.background, other.background)
+        np.testing.assert_array_equal(one.profile.levels, other.profile.levels)
+        np.testing.assert_array_equal(one.profile.distances, other.profile.distances)
+        assert one.profile.corners == other.profile.corners
         for boxes, same in zip(one.frames, other.frames, strict=True):
             np.testing.assert_array_equal(boxes, same)
     image, boxes = image_source(str(path))(np.random.default_rng(0))

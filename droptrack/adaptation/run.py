@@ -46,7 +46,7 @@ from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.results_folder import whole_name
 from droptrack.progress import progress_bar
-from droptrack.training.config import Optimizer, Trainer, TrainingConfig
+from droptrack.training.config import Optimizer, Trainer, TrainingConfig, TrainingPrecision
 from droptrack.training.run import train
 from droptrack.version import __version__
 
@@ -283,6 +283,9 @@ def _train(config: AdaptationConfig, found: _Found, data: Path, say: Say) -> Non
         resume = (run / f"{NAME}_checkpoint.pt").exists()
         if run.exists() and not resume:
             shutil.rmtree(run)  # was interrupted before its first snapshot
+        from droptrack.training.pytorch.devices import computes_faster_in_bf16
+
+        bf16 = computes_faster_in_bf16()
         training = TrainingConfig(
             cfg=cfg,
             data=data,
@@ -301,6 +304,7 @@ def _train(config: AdaptationConfig, found: _Found, data: Path, say: Say) -> Non
             window=_window(network),
             sizes=SIZES,
             seed=config.seed,
+            precision=TrainingPrecision.bf16 if bf16 else TrainingPrecision.fp32,
             workers=0,  # processes forked after an engine ran in threads may wait for ever
             frozen_statistics=True,
         )

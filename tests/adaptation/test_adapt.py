@@ -22,6 +22,7 @@ from droptrack.network.darknet_cfg import read_cfg
 from droptrack.network.darknet_weights import read_weights
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training.pytorch import training as torch_training
+from droptrack.training.pytorch.devices import computes_faster_in_bf16
 from droptrack.training.pytorch.optimisation import gradient_step, make_optimizer
 from droptrack.training.pytorch.settings import TorchSettings
 from tests.adaptation.drawn import boxes_at, channel_image, write_video
@@ -263,3 +264,11 @@ def test_statistics_stay_where_they_are_to_be_frozen(frozen: bool) -> None:
     same = [torch.equal(one.running_mean, mean) for one, mean in zip(norms, means, strict=True)]
     assert same == [frozen] * len(norms)
     assert (dump_values(network) != before).any()
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").exists(), reason="asks Linux")
+def test_bf16_is_for_processors_that_have_it() -> None:
+    if torch.cuda.is_available():
+        pytest.skip("a GPU decides")
+    flags = Path("/proc/cpuinfo").read_text().split()
+    assert computes_faster_in_bf16() is ("avx512_bf16" in flags)

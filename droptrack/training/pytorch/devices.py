@@ -22,6 +22,14 @@ def machine() -> dict[str, str]:
     return {"trainer": f"PyTorch {torch.__version__} on {device}"}
 
 
+def computes_faster_in_bf16() -> bool:
+    """Whether there is a GPU, or a CPU with instructions for bf16; others imitate it, slowly."""
+    if torch.cuda.is_available():
+        return torch.cuda.is_bf16_supported()
+    known = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
+    return bool(known is not None and known())
+
+
 def choose_devices(gpus: str, batch: int, subdivisions: int) -> tuple[str, ...]:
     """``0,1`` -> cuda:0, cuda:1; without a choice the first GPU, or the CPU where there is none.
 

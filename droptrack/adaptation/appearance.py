@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from droptrack.adaptation.backgrounds import background, pixels_of, views_of
+from droptrack.adaptation.backgrounds import background, channels_of, pixels_of, views_of
 from droptrack.adaptation.trust import Seen, Trust
 from droptrack.data.arrays import Float32s, Floats, Pixels
 from droptrack.data.detections import iou_matrix
@@ -53,9 +53,8 @@ def measure(trust: Trust, labelled: Sequence[Seen]) -> Measured:
         for places in views_of(group, related=related)
         if places
     ]
-    behind = [background(group) for group in groups]
-    channels = min(image.shape[2] for image in behind)
-    behind = [image[..., :channels] for image in behind]
+    channels = min(channels_of(one) for group in groups for one in group)  # all have as many
+    behind = [background(group, channels) for group in groups]
     common = _profile(
         [one for group, image in zip(groups, behind, strict=True) for one in _parts(group, image)]
     )
@@ -116,7 +115,7 @@ def _parts(seen: Sequence[Seen], behind: Pixels) -> list[_Part]:
     parts = []
     for one, box in droplets[:: max(1, len(droplets) // MAX_MEASURED)]:
         rows, columns, x, y = part_of(box, (width, height), OUTSIDE)
-        pixels = pixels_of(one)[rows, columns, : behind.shape[2]].astype(np.float32)
+        pixels = pixels_of(one, behind.shape[2])[rows, columns].astype(np.float32)
         parts.append(_Part(box=box, x=x, y=y, change=pixels - behind[rows, columns]))
     return parts
 

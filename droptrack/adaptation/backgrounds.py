@@ -23,10 +23,20 @@ SMOOTH_SHARE = 8  # of an image's side, over which others vary
 FILL_PX = 4  # what no image shows is filled at so many times fewer px
 
 
-def pixels_of(seen: Seen) -> Pixels:
-    """An image as (H, W, C): C is 1 where it is grey."""
-    plane = grey_plane(seen.shot.frame)
-    return seen.shot.frame if plane is None else plane[..., None]
+def channels_of(seen: Seen) -> int:
+    """1 where an image is grey, else 3."""
+    return 3 if grey_plane(seen.shot.frame) is None else 1
+
+
+def pixels_of(seen: Seen, channels: int) -> Pixels:
+    """An image as (H, W, C), with 1 or 3 channels."""
+    frame = seen.shot.frame
+    if channels == 3:
+        return frame
+    plane = grey_plane(frame)
+    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane)[
+        ..., None
+    ]
 
 
 def views_of(seen: Sequence[Seen], *, related: bool) -> list[list[int]]:
@@ -52,15 +62,10 @@ def views_of(seen: Sequence[Seen], *, related: bool) -> list[list[int]]:
     return [np.flatnonzero(groups == group).tolist() for group in np.unique(groups)]
 
 
-def background(seen: Sequence[Seen]) -> Pixels:
-    """The background (H, W, C) of images of one view; what no image shows is filled from around.
-
-    Colour images count as such where all of them have colour.
-    """
+def background(seen: Sequence[Seen], channels: int) -> Pixels:
+    """The background (H, W, C) of images of one view; what no image shows is filled from around."""
     chosen = [seen[place] for place in spread(len(seen), MAX_STACKED)]
-    images = [pixels_of(one) for one in chosen]
-    channels = min(image.shape[2] for image in images)
-    images = [image[..., :channels] for image in images]
+    images = [pixels_of(one, channels) for one in chosen]
     hidden = np.stack(
         [mask_of(image.shape[:2], one) for image, one in zip(images, chosen, strict=True)]
     )

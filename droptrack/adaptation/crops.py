@@ -49,7 +49,7 @@ def cut_out(measured: Measured, rng: np.random.Generator) -> list[Crop]:
         rows, columns, x, y = part_of(box, (width, height), OUTSIDE)
         distance = outline_distance(box, view.profile.corners, x, y)
         share = np.clip((OUTSIDE - distance) / SOFT_PX, 0, 1)[..., None]
-        change = pixels_of(one)[rows, columns, :channels].astype(np.float32)
+        change = pixels_of(one, channels)[rows, columns].astype(np.float32)
         change -= behind[rows, columns]
         place = box - [columns.start, rows.start, 0, 0]
         crops.append(Crop(np.asarray(share * change, np.float32), place, number_of_view))

@@ -41,7 +41,7 @@ from droptrack.data.set_up import write_set_up
 from droptrack.detection.scale import AUTO, STRIDE, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.network.bundled import find_network
-from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, resized, with_options, yolo_heads
+from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options, yolo_heads
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.results_folder import whole_name
@@ -193,14 +193,13 @@ def _look(config: AdaptationConfig, say: Say) -> _Found:
     _say_how(config, footage, known, taught, say)
     measured = measure(known, of_labels(taught))
     opened = looks.opened
-    canvas = Canvas.of(*footage.size, looks.scale)
     return _Found(
         footage=footage,
         kept_labels=tuple(kept),
         looks=looks,
         trust=known,
         measured=measured,
-        network=resized(opened.cfg, *canvas.network),
+        network=opened.cfg,
         weights=opened.weights,
     )
 
@@ -250,14 +249,20 @@ def _draw(config: AdaptationConfig, found: _Found, say: Say) -> Path:
         measured=found.measured,
         draw_own=_image_source(str(set_up)),
         draw_known=_image_source(DRAWINGS),
-        scale=found.looks.scale,
-        network=(found.network.width, found.network.height),
+        canvas=_canvas(found),
     )
     with progress_bar("images") as bar:
         task = bar.add_task("drawing", total=N_TRAIN + N_VALID, note="")
         for n in write_training_set(folder, given, config.seed):
             bar.update(task, completed=n)
     return folder / "obj.data"
+
+
+def _canvas(found: _Found) -> Canvas:
+    """What the network was shown of the images: more than them, or they were a little stretched."""
+    size, network = found.footage.size, (found.network.width, found.network.height)
+    canvas = Canvas.of(*size, found.looks.scale)
+    return canvas if canvas.network == network else Canvas(network, size, size)
 
 
 def _image_source(scene: str) -> Draw:

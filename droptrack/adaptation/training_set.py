@@ -14,6 +14,7 @@ from droptrack.adaptation.trust import Seen
 from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.files import write_text
+from droptrack.detection.scale import Canvas
 
 N_TRAIN, N_VALID = 640, 40
 # shares of the images, without and with labels
@@ -33,15 +34,14 @@ Image = tuple[Pixels, Floats]  # (H, W, C) and boxes (N, 4) px
 class Ingredients:
     """What images are made of.
 
-    `draw_own` draws the set-up, `draw_known` what the network learned before; `scale`: px of the
-    network's input for a px of the video, `network`: width and height of that input.
+    `draw_own` draws the set-up, `draw_known` what the network learned before; `canvas`: how the
+    network sees an image of the video.
     """
 
     measured: Measured
     draw_own: Draw
     draw_known: Draw
-    scale: float
-    network: tuple[int, int]
+    canvas: Canvas
 
 
 def write_training_set(folder: Path, ingredients: Ingredients, seed: int) -> Iterator[int]:
@@ -66,6 +66,8 @@ def write_training_set(folder: Path, ingredients: Ingredients, seed: int) -> Ite
             make = makers[kind]
             assert make is not None
             image, boxes = make(rng, kinds[:number].count(kind))
+            if kind != "known":
+                image = _extended(image, ingredients.canvas)
             name = image_name(split, number)
             quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
             (folder / name).write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
@@ -77,6 +79,13 @@ def write_training_set(folder: Path, ingredients: Ingredients, seed: int) -> Ite
             yield done
     write_scenes(folder, scenes)
     write_data_file(folder, ("droplet",), counts)
+
+
+def _extended(image: Pixels, canvas: Canvas) -> Pixels:
+    """An image (H, W, C) on a canvas, so that its shape is that of the network's input."""
+    right, below = canvas.size[0] - image.shape[1], canvas.size[1] - image.shape[0]
+    wider = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)
+    return np.asarray(wider, np.uint8).reshape(*wider.shape[:2], -1)
 
 
 def _in_turn(shares: dict[str, float], count: int) -> list[str]:
@@ -111,7 +120,7 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
     def real(images: list[tuple[int, Seen]]) -> Maker:
         def make(rng: np.random.Generator, n: int) -> Image:
             number, one = images[n % len(images)]
-            return known_droplets(one, measured.background_of(number), given.scale)
+            return known_droplets(one, measured.background_of(number), given.canvas.scale)
 
         return make
 
@@ -120,15 +129,15 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
         if rng.random() < EMPTY:
             return view.background, np.zeros((0, 4))
         image, boxes = paste(rng, view, mine)
-        return image, taught(boxes, given.scale)
+        return image, taught(boxes, given.canvas.scale)
 
     def drawn(rng: np.random.Generator, n: int) -> Image:
         image, boxes = given.draw_own(rng)
-        return image, taught(boxes, given.scale)
+        return image, taught(boxes, given.canvas.scale)
 
     def known(rng: np.random.Generator, n: int) -> Image:
         image, boxes = given.draw_known(rng)
-        return _window(rng, image, boxes, given.network)
+        return _window(rng, image, boxes, given.canvas.network)
 
     return {
         "seen": real(seen) if seen else None,
@@ -141,8 +150,7 @@ def _makers(given: Ingredients, crops: list[Crop]) -> dict[str, Maker | None]:
 
 def known_droplets(one: Seen, background: Pixels, scale: float) -> Image:
     """A real image with labels at its droplets, and the background over what may be one."""
-    image = pixels_of(one)[..., : background.shape[2]]
-    image = painted_over(image, one.doubtful, background)
+    image = painted_over(pixels_of(one, background.shape[2]), one.doubtful, background)
     return image, taught(one.trusted, scale)
 
 

@@ -27,7 +27,8 @@ from droptrack.training.pytorch.optimisation import gradient_step, make_optimize
 from droptrack.training.pytorch.settings import TorchSettings
 from tests.adaptation.drawn import boxes_at, channel_image, write_video
 
-QUICK = ("--scale", "1", "--iterations", "3", "--batch", "2", "--backend", "opencv")
+QUICK = ("--scale", "1", "--iterations", "3", "--batch", "2", "--learning-rate", "0.0001")
+QUICK += ("--backend", "opencv")
 
 
 @pytest.fixture(autouse=True)
@@ -139,7 +140,8 @@ def test_an_interrupted_adaptation_resumes_to_the_same_weights(
     cfg = read_cfg(tmp_path / "out/adapted.cfg")
     resumed = read_weights(tmp_path / "out/adapted.weights", cfg).values
     whole = read_weights(adapted[0] / "adapted.weights", cfg).values
-    np.testing.assert_allclose(resumed, whole, rtol=1e-3, atol=1e-5)
+    learned = np.abs(whole - read_weights(BUNDLED_WEIGHTS, find_network()[0]).values)
+    assert np.abs(resumed - whole).max() < 0.01 * learned.max()
 
 
 @pytest.mark.parametrize(
@@ -172,7 +174,7 @@ def test_a_video_in_which_no_droplet_is_found_is_refused(tmp_path: Path) -> None
         cv2.imwrite(str(folder / f"{t:03d}.png"), image)
     code, said = adapt(folder, "--out", tmp_path / "out")
     assert code == 1
-    assert "0 droplets found that can be learned from; try --scale or --diameter" in said
+    assert "droplets found that can be learned from; try --scale or --diameter" in said
     assert not (tmp_path / "out").exists()
 
 

@@ -12,7 +12,7 @@ from data_gen.scenes.own_set_up import OwnDroplets
 from droptrack.adaptation.appearance import Measured, measure, without_structures
 from droptrack.adaptation.backgrounds import background, painted_over, views_of
 from droptrack.adaptation.crops import cut_out, paste
-from droptrack.adaptation.training_set import _in_turn, taught
+from droptrack.adaptation.training_set import _extended, _in_turn, taught
 from droptrack.adaptation.trust import Trust
 from droptrack.data.arrays import Float32s, Floats, Pixels
 from droptrack.data.detections import iou_matrix
@@ -26,6 +26,7 @@ from droptrack.data.set_up import (
     read_set_up,
     write_set_up,
 )
+from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 from tests.adaptation.drawn import (
     HEIGHT,
@@ -62,7 +63,7 @@ def test_the_background_is_what_was_drawn_behind_the_droplets(measured: Measured
 def test_where_droplets_never_leave_the_background_continues_what_is_around() -> None:
     """One frame only: the median knows nothing of what is behind its droplets."""
     rng = np.random.default_rng(5)
-    image = background([seen_of(channel_image(3, rng), boxes_at(3))])
+    image = background([seen_of(channel_image(3, rng), boxes_at(3))], 1)
     inside = outline_distance(boxes_at(3)[1], ELLIPSE, *_axes()) < -4
     assert inside.sum() > 500
     assert np.abs(image[inside, 0] - empty_channel()[inside]).mean() < 2 * NOISE
@@ -254,6 +255,16 @@ def test_the_part_of_an_image_under_a_box_is_cut_at_the_edges() -> None:
     rows, columns, x, y = part_of(np.array([5.0, 50, 20, 10]), (100, 60), 2)
     assert (rows, columns) == (slice(43, 57), slice(0, 17))
     assert (x[0], x[-1], y[0], y[-1]) == (0.5, 16.5, 43.5, 56.5)
+
+
+def test_images_are_learned_from_in_the_shape_that_the_network_is_shown() -> None:
+    """100 x 60 px at half the scale: an input of 64 x 32 px shows 128 x 64 of the image's px."""
+    canvas = Canvas.of(100, 60, 0.5)
+    image = np.arange(100 * 60, dtype=np.uint32).reshape(60, 100, 1).astype(np.uint8)
+    extended = _extended(image, canvas)
+    assert (canvas.network, extended.shape) == ((64, 32), (64, 128, 1))
+    np.testing.assert_array_equal(extended[:60, :100], image)
+    assert (extended[:60, 100:] == image[:, -1:]).all()
 
 
 def test_kinds_of_images_are_mixed_in_their_shares() -> None:

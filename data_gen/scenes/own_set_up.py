@@ -15,6 +15,7 @@ SIZE_SPREAD = 0.08  # by which sizes vary beside those seen, standard deviation 
 PLACE_SPREAD = 0.05  # by which places vary, of the size
 LEFT_OUT = 0.15  # share of the droplets of a frame
 MAX_OVERLAP = 0.05  # IoU of droplets that do not press on one another
+EDGE_PX = 2.0  # from the image's edge, where droplets may be cut
 MARGIN_PX = 8.0  # around a droplet, for what its rim does outside
 
 
@@ -87,7 +88,7 @@ def _paint(
 def _apart(rng: np.random.Generator, view: View) -> Floats:
     """Boxes (N, 4): places and sizes as they were seen in any of the frames, so many as in one."""
     n = len(view.frames[rng.integers(len(view.frames))])
-    seen = np.concatenate(view.frames)
+    seen = _whole(np.concatenate(view.frames), view.background.shape[1::-1])
     placed = np.zeros((0, 4))
     for _ in range(10 * n):
         if len(placed) >= n or not len(seen):
@@ -96,6 +97,13 @@ def _apart(rng: np.random.Generator, view: View) -> Floats:
         if not (iou_matrix(box[None], placed) > MAX_OVERLAP).any():
             placed = np.vstack([placed, box])
     return placed
+
+
+def _whole(boxes: Floats, size: tuple[int, ...]) -> Floats:
+    """Those boxes (N, 4) that no edge of the image cuts; all where it cuts each."""
+    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+    whole = ((low > EDGE_PX) & (high < np.array(size) - EDGE_PX)).all(axis=1)
+    return boxes[whole] if whole.any() else boxes
 
 
 def _varied(rng: np.random.Generator, box: Floats) -> Floats:

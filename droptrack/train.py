@@ -1,6 +1,7 @@
 """Command: train a network, ``python -m droptrack.train``."""
 
 import functools
+import math
 import signal
 from pathlib import Path
 from typing import Annotated
@@ -28,6 +29,8 @@ def parse_range(text: str, option: str) -> tuple[float, float]:
         low, high = (float(part) for part in text.split(","))
     except ValueError:
         raise DroptrackError(f"{option} {text}: should be two numbers, A,B") from None
+    if not 0 < low <= high < math.inf:
+        raise DroptrackError(f"{option} {text}: the first should be the smaller one, above 0")
     return low, high
 
 
@@ -85,6 +88,23 @@ def main(
         str | None,
         typer.Option(metavar="A,B", help="PyTorch: range of a random factor on the input size."),
     ] = None,
+    droplets: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="PyTorch: diameters, px of the input, that have a label; others have none.",
+        ),
+    ] = None,
+    negatives: Annotated[
+        float, typer.Option(min=0, max=1, help="PyTorch: share of images shown as negatives.")
+    ] = 0,
+    frozen_statistics: Annotated[
+        bool,
+        typer.Option(
+            "--frozen-statistics",
+            help="PyTorch: batch normalisation keeps its statistics, as at the end of a training.",
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="PyTorch: same seed, same batches.")] = 0,
     draw: Annotated[
         str,
@@ -125,6 +145,9 @@ def main(
         optimizer=optimizer,
         window=None if window is None else parse_size(window, "--window"),
         sizes=None if sizes is None else parse_range(sizes, "--sizes"),
+        droplets=None if droplets is None else parse_range(droplets, "--droplets"),
+        negatives=negatives,
+        frozen_statistics=frozen_statistics,
         seed=seed,
         draw=draw,
         precision=precision,

@@ -71,6 +71,8 @@ class TrainingConfig:
     precision: TrainingPrecision = TrainingPrecision.bf16
     workers: int = DEFAULT_WORKERS  # processes a device that prepare images
     frozen_statistics: bool = False  # batch normalisation keeps the statistics that it has
+    droplets: tuple[float, float] | None = None  # diameters px of the input; others have no label
+    negatives: float = 0.0  # share of the images that are shown as their negatives
 
     def only_torch(self) -> list[str]:
         """The options given that only the PyTorch trainer has."""
@@ -78,6 +80,9 @@ class TrainingConfig:
             "--optimizer adamw": self.optimizer is Optimizer.adamw,
             "--window": self.window is not None,
             "--sizes": self.sizes is not None,
+            "--droplets": self.droplets is not None,
+            "--negatives": self.negatives > 0,
+            "--frozen-statistics": self.frozen_statistics,
             "--draw": bool(self.draw),
         }
         return [option for option, is_given in given.items() if is_given]

@@ -149,6 +149,8 @@ def _prepare_torch(config: TrainingConfig, network: Cfg, data: DataSet) -> Train
         devices=choose_devices(config.gpus, batch, subdivisions),
         bf16=config.precision is TrainingPrecision.bf16,
         frozen_statistics=config.frozen_statistics,
+        droplets=config.droplets,
+        negatives=config.negatives,
     )
     draw = _image_source(config.draw) if config.draw else None
     network = make_run_folder(config.out, network, resume=config.resume)

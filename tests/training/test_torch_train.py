@@ -283,6 +283,34 @@ def test_every_image_is_used_once_before_any_is_used_again() -> None:
     assert all(0.5 <= factor <= 2 for factor in factors)
 
 
+def test_only_droplets_of_the_sizes_wanted_have_labels_and_some_images_are_negatives() -> None:
+    """By hand: at half of its size, an image's squares are 6, 15, 40 and 150 px, a plate 40 x 5."""
+    how = Augmentation(
+        size=(800, 400),
+        window=(800, 400),
+        jitter=0,
+        random=(1, 1),
+        saturation=1,
+        exposure=1,
+        hue=0,
+        flip=False,
+        droplets=(8, 100),
+        negatives=0.3,
+    )
+    sides = np.array([[12, 12], [30, 30], [80, 80], [300, 300], [80, 10.0]])
+    places = np.array([[100, 100], [300, 100], [600, 100], [600, 500], [200, 600.0]])
+    boxes = np.hstack([places, sides]) / [1600, 800, 1600, 800]
+    image = np.full((800, 1600, 3), 40, np.uint8)
+    rng = np.random.default_rng(3)
+    levels = []
+    for _ in range(200):
+        shown, truths = augment(rng, image, np.zeros(5, np.int64), boxes, how, 1.0)
+        np.testing.assert_allclose(sorted(truths[:, 3] * 800), [15, 40], rtol=1e-5)
+        levels.append(int(shown[0, 0, 0]))
+    assert set(levels) == {40, 215}
+    assert levels.count(215) == pytest.approx(60, abs=20)
+
+
 @pytest.mark.parametrize("window", [(416, 224), (832, 416)])
 def test_augmented_boxes_stay_on_their_droplets(window: tuple[int, int]) -> None:
     """Draw squares, change the image at random, and find them again where the boxes say."""

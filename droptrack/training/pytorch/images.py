@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
-from droptrack.data.arrays import Float32s, Floats, Pixels, Rows
+from droptrack.data.arrays import Bools, Float32s, Floats, Pixels, Rows
 from droptrack.data.darknet_dataset import DataSet, read_image, read_labels
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
@@ -24,6 +24,7 @@ DARKNET_RANDOM = 1.4  # maximum factor on the size with Darknet's random=1; mini
 SHARE_WITH_DROPLET = 0.9  # of the windows, which are laid around a random droplet
 MIN_VISIBLE = 0.1  # share of a droplet's area in the window, for it to be ground truth
 MIN_VISIBLE_PX = 2  # and of its width and height
+MIN_SHARE_OF_SIDE = 0.75
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,10 @@ class Augmentation:
     The image is stretched to the network's size (times a random factor a batch when `random`),
     then moved and zoomed by up to `jitter`. Of the result only a `window` (width, height) px at a
     random place is used: the network is convolutional, so small windows teach it the same in less
-    time, if nothing but the window's content decides what is a droplet.
+    time, if nothing but the window's content decides what is a droplet. `droplets`: the smallest
+    and the largest diameter, sqrt(w h) px of the input, that have a label, so that the network
+    learns a scale; their sides are at least MIN_SHARE_OF_SIDE of the smallest. `negatives`: the
+    share of images whose dark and bright are exchanged.
     """
 
     size: tuple[int, int]  # width, height of the network's input, px
@@ -44,6 +48,8 @@ class Augmentation:
     exposure: float
     hue: float
     flip: bool
+    droplets: tuple[float, float] | None = None
+    negatives: float = 0.0
 
     @staticmethod
     def of(
@@ -115,6 +121,12 @@ def augment(
     """
     height, width = image.shape[:2]
     target = np.array(how.size) * factor
+    if how.droplets is not None:
+        sides = boxes_relative[:, 2:] * target
+        known = _known(sides, *how.droplets)
+        class_ids, boxes_relative = class_ids[known], boxes_relative[known]
+    if how.negatives and rng.random() < how.negatives:
+        image = 255 - image
     window = np.array(how.window, float)
     zoom = target / [width, height] * rng.uniform(1 - how.jitter, 1 + how.jitter, 2)
     centres = boxes_relative[:, :2] * zoom * [width, height]
@@ -131,6 +143,13 @@ def augment(
     boxes = boxes_relative * [width, height, width, height]
     truths = _visible(class_ids, boxes[:, :2] * scale + shift, boxes[:, 2:] * zoom, window)
     return _recolour(rng, np.asarray(warped, np.uint8), how), truths
+
+
+def _known(sides: Floats, smallest: float, largest: float) -> Bools:
+    """Which boxes (N, 2) w, h px are of the sizes that have a label."""
+    diameters = np.sqrt(sides.prod(axis=1))
+    large_enough = (diameters > smallest) & (sides.min(axis=1) > MIN_SHARE_OF_SIDE * smallest)
+    return np.asarray(large_enough & (diameters < largest), bool)
 
 
 def _random_offset(

@@ -28,6 +28,8 @@ class TorchSettings:
     devices: tuple[str, ...]  # one process each: ("cuda:0", "cuda:1")
     bf16: bool  # the network computes in bfloat16; weights, gradients and loss are float32
     frozen_statistics: bool = False  # batch normalisation keeps the statistics that it has
+    droplets: tuple[float, float] | None = None  # see Augmentation
+    negatives: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -148,7 +148,11 @@ class Learner:
     def _batches(self) -> DataLoader[Any]:
         """The device's share of each batch that is left: images and ground truths, `collate`."""
         job, settings = self.job, self.job.settings
-        augmentation = Augmentation.of(job.cfg, settings.window, settings.sizes)
+        augmentation = replace(
+            Augmentation.of(job.cfg, settings.window, settings.sizes),
+            droplets=settings.droplets,
+            negatives=settings.negatives,
+        )
         return DataLoader(
             TrainingImages(job.data, augmentation, job.draw),
             batch_sampler=Batches(

@@ -32,7 +32,7 @@ ScaleOption = Annotated[
     typer.Option(
         metavar="auto|NUMBER",
         help="Px of the network's input for a px of the frames; auto: what suits the droplets of "
-        "some of the frames, as far as the network's scores tell.",
+        "some of the frames. Default: auto with the bundled model, else the cfg's size.",
     ),
 ]
 DiameterOption = Annotated[

@@ -3,7 +3,8 @@
 A network finds droplets of some 10 to 150 px of its input, and says nothing, or something else at
 each scale, of others. So a droplet is what the network sees again at other scales: its evidence is
 the mean of its scores at all scales that show it in a size the network knows. The best scale is the
-one whose detections have the most evidence.
+one whose detections have the most evidence; each counts by its diameter, since small things are
+often no droplets.
 
 Frames are looked at in tiles, so that one compiled network serves all scales, and of a large input
 only some tiles are, so that the choice takes about as long for all videos.
@@ -38,7 +39,6 @@ DOUBT = 0.35  # evidence below which a detection does harm
 CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
 MIN_INSIDE = 0.8  # share of a box's area
 MIN_SHOWN = 3  # scales that full evidence takes
-SIZE_POWER = 0.5  # a droplet counts by this power of its diameter: small things are often none
 MIN_SHARE = 0.2  # weight of the evidence at all scales, against that in the tiles of one
 TOLERANCE = 0.03  # between the qualities of scales that are as good
 
@@ -93,7 +93,7 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         diameters.append(np.sqrt(droplets[real, 2:].prod(axis=1)))
         for k, (scale, look) in enumerate(looks.items()):
             counted = look.covers(droplets, (width, height), MARGIN_PX / scale)
-            worth = (evidence - DOUBT) * np.sqrt(droplets[:, 2:].prod(axis=1)) ** SIZE_POWER
+            worth = (evidence - DOUBT) * np.sqrt(droplets[:, 2:].prod(axis=1))
             seen = counted & (scores[k] >= SURE)
             gained[scale] = gained.get(scale, 0.0) + float(worth[seen].sum())
             possible[scale] = possible.get(scale, 0.0) + float(worth[counted & real].sum())

@@ -22,9 +22,10 @@ class DetectorConfig:
     `weights`, `cfg` and `size`: the network, see `network.bundled.find_network`. `scale`: px of the
     network's input for a px of the frames, or "auto", what some of the frames suggest; or
     `diameter_px`, the diameter of a typical droplet in the frames, from which the scale follows, or
-    the smallest and the largest (`detection.pyramid`); without, the input is as large as the cfg
-    says, and has the frames' shape. `score`: the minimum score of a droplet. `max_iou`: the IoU
-    above which two boxes are one droplet. `dark`: droplets are darker than their surroundings.
+    the smallest and the largest (`detection.pyramid`); without, "auto" for the bundled model, and
+    for others as large as the cfg says, in the frames' shape. `score`: the minimum score of a
+    droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets are darker
+    than their surroundings.
     `normalise`: show the network grey frames of full contrast (`detection.normalisation`); None:
     the bundled model only, which learned them so. `region`: where droplets count, a polygon or an
     image, see `data.region.Region.read`; None: everywhere. `shape`: measure the droplets' outlines,

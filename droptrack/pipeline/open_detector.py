@@ -129,7 +129,7 @@ def _given_canvases(
     scale = config.scale
     if config.diameter_px is not None:
         scale = DIAMETER_PX / config.diameter_px
-    if scale == AUTO:
+    if scale == AUTO or (scale is None and config.weights is None):
         return []
     if scale is None:
         return [(None, Canvas.like(width, height, own))]

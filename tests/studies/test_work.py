@@ -13,6 +13,7 @@ from droptrack.studies import local, work
 from droptrack.studies import run as study_run
 from droptrack.studies.jobs import LOG, Job, job_of, left_to_do, read_kept
 from droptrack.studies.local import LocalWorkers, fitting_workers
+from droptrack.studies.options import Given
 from droptrack.studies.outcome import Outcome
 from droptrack.studies.run import Study, plan
 from droptrack.studies.sources import find_videos
@@ -21,7 +22,7 @@ from droptrack.studies.workers import Deaths, Note, Told
 from tests.studies.options import OPTIONS
 from tests.studies.test_batch import Clips
 
-FAST = {"size": ("480x256",), "backend": ("opencv",), "no_video": True}
+FAST: dict[str, Given] = {"size": ("480x256",), "backend": ("opencv",), "no_video": True}
 
 
 def job(video: Path | str, out: Path, name: str = "a") -> Job:

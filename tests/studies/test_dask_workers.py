@@ -13,8 +13,8 @@ from droptrack.errors import DroptrackError
 from droptrack.studies import dask_workers
 from droptrack.studies.choice import WorkersConfig
 from droptrack.studies.dask_workers import job_cluster
+from droptrack.studies.jobs import LOG
 from tests.studies.test_batch import (
-    LOG,
     Clips,
     batch,
     is_longer,

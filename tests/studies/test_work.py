@@ -9,6 +9,7 @@ import pytest
 
 from droptrack.data.trajectories import read_trajectories
 from droptrack.errors import DroptrackError
+from droptrack.pipeline.run import run
 from droptrack.studies import local, work
 from droptrack.studies import run as study_run
 from droptrack.studies.jobs import LOG, Job, job_of, left_to_do, read_kept
@@ -77,7 +78,6 @@ def test_a_full_disk_ends_the_study_and_keeps_what_was_done(
         clips(tmp_path / f"{name}.avi", 0, 2)
     study = Study(sources=(str(tmp_path / "*.avi"),), out=tmp_path / "out", options=FAST)
     planned = plan(study, OPTIONS, print)
-    run = work.run
 
     def full(config: object, *rest: object, **options: object) -> object:
         if "/b" in str(config.out):  # type: ignore[attr-defined]

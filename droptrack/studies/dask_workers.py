@@ -154,11 +154,14 @@ class DaskWorkers:
 
     def _n_workers(self) -> int:
         """How many workers there are now; raises DroptrackError where the scheduler is gone."""
-        if self._client.status != "running":
-            raise DroptrackError(
-                f"{self.described} is gone; what was done stays: the same command goes on"
-            )
-        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+        try:
+            if self._client.status == "running":
+                return len(self._client.nthreads())
+        except OSError:  # as Dask has it for a connection that breaks
+            pass
+        raise DroptrackError(
+            f"{self.described} is gone; what was done stays: the same command goes on"
+        )
 
     def _outcome(self, future: Any, job: Job, deaths: Deaths) -> Outcome | None:
         """What came of a video; None where it is to be tried again."""

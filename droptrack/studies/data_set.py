@@ -8,6 +8,7 @@ from typing import Any
 from urllib.parse import quote
 
 from droptrack.data.files import replacing
+from droptrack.data.sources.opencv_names import printable
 from droptrack.studies.jobs import Job
 from droptrack.studies.tables import FLAGS, Types, free_values, kind_of, pyarrow, read_rows
 
@@ -24,7 +25,7 @@ def write_data_set(folder: Path, jobs: Sequence[Job], types: Types) -> None:
     table that cannot be read.
     """
     columns = _columns_of_all(jobs)
-    places = {f"{KEY}={quote(job.name, safe=' ')}": job for job in jobs}
+    places = {f"{KEY}={quote(printable(job.name), safe=' ')}": job for job in jobs}
     folder.mkdir(parents=True, exist_ok=True)
     for other in folder.glob(f"{KEY}=*"):
         if other.name not in places:

@@ -194,7 +194,9 @@ def available_bytes() -> int:
 
 
 def fitting_workers(n_cores: int, n_bytes: int) -> int:
-    """How many workers suit cores and memory: one for two cores, as docs/batch.md measures.
+    """How many workers suit cores and memory: one for two cores.
+
+    A network keeps one core busy; decoding, tracking and drawing another.
 
     >>> fitting_workers(2, 8_000_000_000), fitting_workers(16, 64_000_000_000)
     (1, 8)

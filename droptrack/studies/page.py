@@ -1,6 +1,7 @@
 """The page of a study: small multiples, a card a video, failed and doubtful ones first."""
 
 import json
+import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from droptrack.data.arrays import Floats
 from droptrack.data.files import read_text, write_text
+from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
 from droptrack.studies.jobs import LOG, Job
 from droptrack.studies.summary import Row
@@ -63,11 +65,12 @@ def write_page(out: Path, jobs: Sequence[Job], rows: Sequence[Row]) -> None:
         kind: sum(_kind(row) == kind for row in rows) for kind in ("failed", "left", "doubtful")
     }
     said = [f"{len(rows)} videos", *(f"{n} {kind}" for kind, n in counts.items() if n)]
+    title = escape(printable(out.absolute().name))
     text = (
         '<!doctype html><html lang="en"><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width">'
-        f"<title>{escape(out.name)}: droplets</title><style>{STYLE}</style>"
-        f"<h1>{escape(out.name)}</h1><p>{', '.join(said)}. Failed and doubtful ones come first. "
+        f"<title>{title}: droplets</title><style>{STYLE}</style>"
+        f"<h1>{title}</h1><p>{', '.join(said)}. Failed and doubtful ones come first. "
         f"Histograms: diameters of droplets, {unit}, all on one axis. "
         '<a href="summary.csv">summary.csv</a></p>'
         f"<main>{cards}</main></html>\n"
@@ -94,8 +97,8 @@ def _rank(row: Row) -> int:
 
 
 def _card(job: Job, row: Row, diameters: Floats, limits: tuple[float, float], unit: str) -> str:
-    place = quote(job.name)
-    parts = [f'<h2><a href="{place}/">{escape(job.name)}</a></h2>']
+    place = quote(os.fsencode(job.name))
+    parts = [f'<h2><a href="{place}/">{escape(row["name"])}</a></h2>']
     if row["state"] != "done":
         parts.append(
             f'<p class="why">{escape(str(row["state"]))}: {escape(str(row["reason"]))}</p>'

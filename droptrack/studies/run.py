@@ -5,6 +5,7 @@ import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -112,11 +113,14 @@ def do_study(
         elif whole:
             say(f"{len(planned.jobs)} videos: all are there")
             _write_about(study, planned, options, "none")
-    finally:
-        n_failed = sum(bool(outcome.reason) for outcome in outcomes)
+    except DroptrackError:
         if whole and study.out.is_dir():
-            n_failed = write_results(study.out, planned.jobs, say)
-    return n_failed
+            with suppress(OSError):  # of a full disk: what ended all is what is to be said
+                write_results(study.out, planned.jobs, say)
+        raise
+    if whole:
+        return write_results(study.out, planned.jobs, say)
+    return sum(bool(outcome.reason) for outcome in outcomes)
 
 
 def _do(

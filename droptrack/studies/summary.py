@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from droptrack.data.files import read_text, replacing
+from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
 from droptrack.studies.columns import COLUMNS, N_FIRST
 from droptrack.studies.jobs import Job, read_kept
@@ -26,13 +27,14 @@ def summarise(job: Job) -> Row:
     """
     kept = read_kept(job.folder)
     row: Row = dict.fromkeys(COLUMNS)
-    row |= {"name": job.name, "video": job.video, "state": "left", "reason": "not done yet"}
+    row |= {"name": printable(job.name), "video": printable(job.video)}
+    row |= {"state": "left", "reason": "not done yet"}
     row["weights_sha256"] = job.made_from.get("weights sha256")
     row["_free"] = job.free
     if kept is None:
         return row
     row |= {"state": kept.state, "reason": kept.reason, "version": kept.version}
-    row["warnings"] = " | ".join(_warnings(kept.said, job.video))
+    row["warnings"] = printable(" | ".join(_warnings(kept.said, job.video)))
     if kept.state == "running":
         row |= {"state": "left", "reason": "was ended before it was done"}
     if kept.state != "done":

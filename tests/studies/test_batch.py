@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -253,6 +254,10 @@ def wait_for(happened: Callable[[], object], seconds: float = 300) -> None:
     raise AssertionError("it did not happen")
 
 
+def is_longer(path: Path, n_bytes: int) -> bool:
+    return path.exists() and path.stat().st_size > n_bytes
+
+
 needs_proc = pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 
 
@@ -266,7 +271,7 @@ def test_a_killed_worker_costs_nothing_but_time(clips: Clips, tmp_path: Path) ->
     process = started(tmp_path / "*.avi", "--out", out, "--workers", "1")
     for n_bytes in (2_000, 9_000):
         log = out / "a" / "detections.part"
-        wait_for(lambda log=log, n=n_bytes: log.exists() and log.stat().st_size > n)  # type: ignore[misc]
+        wait_for(partial(is_longer, log, n_bytes))
         (worker,) = workers_of(process)
         os.kill(worker, signal.SIGKILL)
     _, said = process.communicate(timeout=600)
@@ -284,7 +289,7 @@ def test_an_ended_batch_leaves_no_worker_and_goes_on(clips: Clips, tmp_path: Pat
     out = tmp_path / "out"
     process = started(tmp_path / "*.avi", "--out", out)
     log = out / "a" / "detections.part"
-    wait_for(lambda: log.exists() and log.stat().st_size > 2_000)
+    wait_for(partial(is_longer, log, 2_000))
     workers = workers_of(process)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=600)

@@ -3,6 +3,7 @@
 import os
 import signal
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,15 @@ from droptrack.studies import dask_workers
 from droptrack.studies.choice import WorkersConfig
 from droptrack.studies.dask_workers import job_cluster
 from droptrack.studies.jobs import LOG
-from tests.studies.test_batch import Clips, batch, needs_proc, rows, started, wait_for
+from tests.studies.test_batch import (
+    Clips,
+    batch,
+    is_longer,
+    needs_proc,
+    rows,
+    started,
+    wait_for,
+)
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore")  # Dask's own, of sockets and loops
@@ -59,7 +68,7 @@ def test_the_video_of_a_dead_worker_is_done_by_another(clips: Clips, tmp_path: P
             tmp_path / "a.avi", "--out", out, "--scheduler", cluster.scheduler_address
         )
         log = out / "a" / "detections.part"
-        wait_for(lambda: log.exists() and log.stat().st_size > 5_000)
+        wait_for(partial(is_longer, log, 5_000))
         (worker,) = cluster.workers.values()
         os.kill(worker.pid, signal.SIGKILL)  # its nanny starts another one
         _, said = process.communicate(timeout=600)

@@ -9,10 +9,12 @@ import pytest
 
 from droptrack.data.trajectories import read_trajectories
 from droptrack.errors import DroptrackError
+from droptrack.pipeline.run import run
 from droptrack.studies import local, work
 from droptrack.studies import run as study_run
 from droptrack.studies.jobs import LOG, Job, job_of, left_to_do, read_kept
 from droptrack.studies.local import LocalWorkers, fitting_workers
+from droptrack.studies.options import Given
 from droptrack.studies.outcome import Outcome
 from droptrack.studies.run import Study, plan
 from droptrack.studies.sources import find_videos
@@ -21,11 +23,7 @@ from droptrack.studies.workers import Deaths, Note, Told
 from tests.studies.options import OPTIONS
 from tests.studies.test_batch import Clips
 
-FAST: dict[str, bool | tuple[str, ...]] = {
-    "size": ("480x256",),
-    "backend": ("opencv",),
-    "no_video": True,
-}
+FAST: dict[str, Given] = {"size": ("480x256",), "backend": ("opencv",), "no_video": True}
 
 
 def job(video: Path | str, out: Path, name: str = "a") -> Job:
@@ -80,7 +78,6 @@ def test_a_full_disk_ends_the_study_and_keeps_what_was_done(
         clips(tmp_path / f"{name}.avi", 0, 2)
     study = Study(sources=(str(tmp_path / "*.avi"),), out=tmp_path / "out", options=FAST)
     planned = plan(study, OPTIONS, print)
-    from droptrack.pipeline.run import run
 
     def full(config: object, *rest: object, **options: object) -> object:
         if "/b" in str(config.out):  # type: ignore[attr-defined]

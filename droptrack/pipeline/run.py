@@ -98,7 +98,7 @@ class _Opened:
         """Frames a second and micrometres a pixel, None where neither user nor file says it."""
         own = self.source.info.fps if self.source.says_fps and not self.live else None
         fps = own if config.units.fps is None else config.units.fps
-        return {"fps": fps, "um_per_px": config.units.um_per_px}
+        return {"fps": fps, "um_per_px": self.units(config).um_per_px}
 
     def units(self, config: TrackingConfig) -> Units:
         """What the user says a pixel and a frame are; by default what the file says of them."""

@@ -51,7 +51,10 @@ def test_two_droplets_that_touch_are_kept_rather_than_a_box_between_them() -> No
     unlikely = Detections(boxes, np.array([0.993, 0.99, 0.4]), np.zeros(3, np.int64))
     assert suppress_duplicates(unlikely, 0.3).boxes.tolist() == boxes[:1].tolist()
     others = Detections(boxes, np.array([0.993, 0.99, 0.98]), np.array([0, 0, 1]))
-    assert len(suppress_duplicates(others, 0.3)) == 2
+    assert suppress_duplicates(others, 0.3).class_ids.tolist() == [0, 1]
+    assert suppress_duplicates(others, 0.3).boxes.tolist() == boxes[1:].tolist()
+    kept = suppress_duplicates(others, 0.3, greedy=True)
+    assert kept.boxes.tolist() == boxes[[0, 2]].tolist()
 
 
 def test_a_droplet_is_kept_rather_than_its_two_halves() -> None:

@@ -67,4 +67,4 @@ def test_areas_and_axes_are_those_of_the_image(
                 n_turned += 1
                 apart = (rows.columns["angle_rad"][i] - angle + np.pi / 2) % np.pi - np.pi / 2
                 assert abs(apart) < 0.1
-    print(kind, n_turned)
+    assert n_turned > 0 or kind == "shear"  # whose cores stay all but round

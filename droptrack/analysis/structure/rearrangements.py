@@ -27,9 +27,13 @@ class Rearrangement:
 
 @dataclass
 class NeighbourChanges:
-    """Takes frame after frame, and says in the end which neighbours changed for good."""
+    """Takes frame after frame, and says in the end which neighbours changed for good.
+
+    persistence: frames that a change has to last; box: sides of a periodic one, px.
+    """
 
     persistence: int
+    box: tuple[int, int] | None = None
     _frame: int | None = None
     _since: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
     _owners: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -94,9 +98,17 @@ class NeighbourChanges:
             fits[fits] = _among(side[fits], keys)
             fits[fits] = _among(side[fits], self._keys)
         for k in np.flatnonzero(fits).tolist():
-            four = np.array([a[k], b[k], c[k], d[k]])
-            x, y = places[np.searchsorted(owners, four)].mean(axis=0).tolist()
+            four = places[np.searchsorted(owners, [a[k], b[k], c[k], d[k]])]
+            x, y = self._middle(four).tolist()
             self._flips.append((frame, int(lost[i[k]]), int(gained[j[k]]), x, y))
+
+    def _middle(self, places: Floats) -> Floats:
+        """The mean of places (4, 2), on the same side of the walls of a periodic box."""
+        if self.box is None:
+            return np.asarray(places.mean(axis=0))
+        offset = places - places[0]
+        offset -= np.round(offset / self.box) * self.box
+        return np.asarray(np.mod(places[0] + offset.mean(axis=0), self.box))
 
     @property
     def n_flips(self) -> int:

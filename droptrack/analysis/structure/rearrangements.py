@@ -12,6 +12,7 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats, Rows
 
 TOGETHER, APART, UNKNOWN = 1, 0, -1
+MAX_TRIED = 1_000_000  # lost with gained pairs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +87,15 @@ class NeighbourChanges:
         self, frame: int, changed: tuple[Rows, Rows], keys: Rows, owners: Rows, places: Floats
     ) -> None:
         """Where lost and gained pairs are the diagonals of four droplets that stay neighbours."""
-        lost, gained = changed
-        if not len(lost) or not len(gained):
-            return
+        all_lost, gained = changed
+        step = max(1, MAX_TRIED // max(len(gained), 1))  # pairs of pairs held at once
+        for start in range(0, len(all_lost), step):
+            lost = all_lost[start : start + step]
+            self._flips += self._fitting(frame, lost, gained, keys, owners, places)
+
+    def _fitting(
+        self, frame: int, lost: Rows, gained: Rows, keys: Rows, owners: Rows, places: Floats
+    ) -> list[tuple[int, int, int, float, float]]:
         i, j = (k.ravel() for k in np.meshgrid(np.arange(len(lost)), np.arange(len(gained))))
         a, b = lost[i] >> 32, lost[i] & 0xFFFFFFFF
         c, d = gained[j] >> 32, gained[j] & 0xFFFFFFFF
@@ -97,10 +104,12 @@ class NeighbourChanges:
             side = (np.minimum(one, other) << 32) | np.maximum(one, other)
             fits[fits] = _among(side[fits], keys)
             fits[fits] = _among(side[fits], self._keys)
+        found = []
         for k in np.flatnonzero(fits).tolist():
             four = places[np.searchsorted(owners, [a[k], b[k], c[k], d[k]])]
             x, y = self._middle(four).tolist()
-            self._flips.append((frame, int(lost[i[k]]), int(gained[j[k]]), x, y))
+            found.append((frame, int(lost[i[k]]), int(gained[j[k]]), x, y))
+        return found
 
     def _middle(self, places: Floats) -> Floats:
         """The mean of places (4, 2), on the same side of the walls of a periodic box."""

@@ -48,6 +48,15 @@ def page_of(name: str, found: Analysis, units: Units) -> str:
 """
 
 
+def error_text(error: float) -> str:
+    """An error with two digits.
+
+    >>> error_text(101.3), error_text(0.01234)
+    ('100', '0.012')
+    """
+    return f"{float(f'{error:.2g}'):.6g}"
+
+
 def _row(key: str, value: str) -> str:
     return f"<tr><td>{escape(key)}</td><td>{escape(value)}</td></tr>"
 
@@ -57,7 +66,7 @@ def _quantity(one: Quantity, units: Units) -> str:
     unit = unit_text(one.dimension, physical=scale is not None)
     by = scale or 1.0
     if math.isfinite(one.value):
-        error = f" ± {one.error * by:.2g}" if math.isfinite(one.error) else ""
+        error = f" ± {error_text(one.error * by)}" if math.isfinite(one.error) else ""
         value = f"{one.value * by:.4g}{error} {unit}"
     else:
         value = "not defined"

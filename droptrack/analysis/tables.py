@@ -82,3 +82,14 @@ def frame_notes(table: Table) -> list[str]:
         f"No two frames in a row: they are at least {apart} apart. Steps, headings and velocities "
         "are from one frame to the next, so there are none; number the frames 0, 1, 2."
     ]
+
+
+def jump_notes(table: Table, steps: Floats) -> list[str]:
+    """What is to be said of steps (S, 2) px that nothing makes."""
+    long = np.abs(steps) > np.array(table.size) / 2  # false for NaN
+    if not long.any():
+        return []
+    return [
+        f"{int(long.any(axis=1).sum())} steps are longer than half the image: positions in a "
+        "periodic box have to be unwrapped before."
+    ]

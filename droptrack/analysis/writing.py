@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from droptrack.analysis.page import page_of
+from droptrack.analysis.page import error_text, page_of
 from droptrack.analysis.records import (
     Analysis,
     Axis,
@@ -122,7 +122,7 @@ def text_of(one: Quantity, scale: float = 1.0) -> str:
         return f"not defined: {one.reason}"
     text = f"{one.value * scale:.4g}"
     if math.isfinite(one.error):
-        text += f" ± {one.error * scale:.2g}"
+        text += f" ± {error_text(one.error * scale)}"
     if math.isfinite(one.null):
         text += f"   (null model: {one.null * scale:.4g})"
     return text

@@ -138,6 +138,14 @@ def test_gaps_bridged_rows_and_rest_have_no_heading() -> None:
     assert sum(parts) == found["n_excluded"]
 
 
+def test_frames_that_are_apart_have_no_headings_and_that_is_said() -> None:
+    rows = rows_of(moving(GRID, lambda t: np.array([1.0, 0]), 4))
+    rows = Trajectories(**{**vars(rows), "frame": rows.frame * 10})
+    found = analyse_flock(Table(rows=rows), FlockConfig())
+    assert "at least 10 apart" in found.notes[0]
+    assert found.counts["n_pairs"] == 0
+
+
 def run(*arguments: object) -> tuple[int, str]:
     result = CliRunner().invoke(app, ["analyse", *map(str, arguments)])
     return result.exit_code, result.output

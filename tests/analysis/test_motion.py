@@ -198,6 +198,14 @@ def test_the_command_carries_units_and_has_every_figure(tmp_path: Path) -> None:
         assert (out / f"motion_{name}.png").exists()
 
 
+def test_jumps_through_the_walls_of_a_periodic_box_are_pointed_out() -> None:
+    places = walks(5, 30, 0.5)
+    places[15:, 2, 0] -= 390
+    about = {"video": "v.avi, 500 x 500 px"}
+    analysis = analyse_motion(Table(rows=rows_of(places), about=about), MotionConfig())
+    assert "1 steps are longer than half the image" in analysis.notes[0]
+
+
 @pytest.mark.parametrize("places", [np.full((1, 5, 2), 50.0), np.full((6, 1, 2), 50.0)])
 def test_one_frame_and_one_droplet_at_rest_are_not_defined(places: Floats) -> None:
     places = places + np.arange(places.shape[1])[None, :, None] * 8

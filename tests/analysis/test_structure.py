@@ -192,6 +192,15 @@ def test_a_drawn_t1_is_found_once_where_and_when_it_is() -> None:
     assert sums.n_flips == 1
 
 
+def test_a_t1_outside_of_the_region_is_not_counted() -> None:
+    mask = np.zeros((200, 200), bool)
+    mask[:, :60] = True
+    window = Window(size=(200, 200), region=Region(mask))
+    sums = sum_frames(Table(rows=rows_of(t1(60, 30))), window, 1.5, 3)
+    assert sums.n_flips == 1
+    assert not sums.events
+
+
 def test_noise_at_the_change_makes_no_more_of_it() -> None:
     rows = rows_of(t1(60, 30, noise=0.9))
     sums = sum_frames(Table(rows=rows), Window(size=(200, 200)), 1.5, 4)

@@ -26,7 +26,13 @@ from droptrack.analysis.records import (
     Analysis,
     Quantity,
 )
-from droptrack.analysis.tables import frame_notes, kept_rows, neighbourhood_radius, typical_diameter
+from droptrack.analysis.tables import (
+    frame_notes,
+    jump_notes,
+    kept_rows,
+    neighbourhood_radius,
+    typical_diameter,
+)
 from droptrack.data.arrays import Floats
 from droptrack.data.formats.table import Table
 from droptrack.data.report import Value
@@ -97,7 +103,11 @@ def analyse_flock(table: Table, config: FlockConfig) -> Analysis:
             following_chart(following, rng),
         ],
         tables={"following": following_rows(following, paths.ids)},
-        notes=[*frame_notes(table), *_notes(headings, main)],
+        notes=[
+            *frame_notes(table),
+            *jump_notes(table, headings.velocities),
+            *_notes(headings, main),
+        ],
     )
 
 

@@ -34,7 +34,13 @@ from droptrack.analysis.records import (
     Quantity,
     Style,
 )
-from droptrack.analysis.tables import frame_notes, kept_rows, neighbourhood_radius, typical_diameter
+from droptrack.analysis.tables import (
+    frame_notes,
+    jump_notes,
+    kept_rows,
+    neighbourhood_radius,
+    typical_diameter,
+)
 from droptrack.data.arrays import Floats, Rows
 from droptrack.data.formats.table import Table
 from droptrack.errors import DroptrackError
@@ -111,7 +117,7 @@ def analyse_motion(table: Table, config: MotionConfig) -> Analysis:
         },
         quantities=[*quantities, *found],
         figures=[*figures, *charts],
-        notes=[*frame_notes(table), *_notes(motion)],
+        notes=[*frame_notes(table), *jump_notes(table, velocities), *_notes(motion)],
     )
 
 

@@ -58,7 +58,7 @@ def sum_frames(table: Table, window: Window, reach: float, persistence: int) -> 
     places = np.column_stack([rows.x, rows.y])
     n, sums = len(ids), _Sums(len(ids), len(frames))
     radii, areas = diameters(table) / 2, droplet_areas(table)
-    changes = NeighbourChanges(persistence)
+    changes = NeighbourChanges(persistence, window.size if window.periodic else None)
     stops = [*starts[1:].tolist(), len(rows)]
     for f, stop in enumerate(with_progress(stops, len(stops), "cells", "frames")):
         part = slice(int(starts[f]), stop)

@@ -12,6 +12,7 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats, Rows
 
 TOGETHER, APART, UNKNOWN = 1, 0, -1
+MAX_TRIED = 1_000_000  # lost with gained pairs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,9 +28,13 @@ class Rearrangement:
 
 @dataclass
 class NeighbourChanges:
-    """Takes frame after frame, and says in the end which neighbours changed for good."""
+    """Takes frame after frame, and says in the end which neighbours changed for good.
+
+    persistence: frames that a change has to last; box: sides of a periodic one, px.
+    """
 
     persistence: int
+    box: tuple[int, int] | None = None
     _frame: int | None = None
     _since: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
     _owners: Rows = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -82,9 +87,15 @@ class NeighbourChanges:
         self, frame: int, changed: tuple[Rows, Rows], keys: Rows, owners: Rows, places: Floats
     ) -> None:
         """Where lost and gained pairs are the diagonals of four droplets that stay neighbours."""
-        lost, gained = changed
-        if not len(lost) or not len(gained):
-            return
+        all_lost, gained = changed
+        step = max(1, MAX_TRIED // max(len(gained), 1))  # pairs of pairs held at once
+        for start in range(0, len(all_lost), step):
+            lost = all_lost[start : start + step]
+            self._flips += self._fitting(frame, lost, gained, keys, owners, places)
+
+    def _fitting(
+        self, frame: int, lost: Rows, gained: Rows, keys: Rows, owners: Rows, places: Floats
+    ) -> list[tuple[int, int, int, float, float]]:
         i, j = (k.ravel() for k in np.meshgrid(np.arange(len(lost)), np.arange(len(gained))))
         a, b = lost[i] >> 32, lost[i] & 0xFFFFFFFF
         c, d = gained[j] >> 32, gained[j] & 0xFFFFFFFF
@@ -93,10 +104,20 @@ class NeighbourChanges:
             side = (np.minimum(one, other) << 32) | np.maximum(one, other)
             fits[fits] = _among(side[fits], keys)
             fits[fits] = _among(side[fits], self._keys)
+        found = []
         for k in np.flatnonzero(fits).tolist():
-            four = np.array([a[k], b[k], c[k], d[k]])
-            x, y = places[np.searchsorted(owners, four)].mean(axis=0).tolist()
-            self._flips.append((frame, int(lost[i[k]]), int(gained[j[k]]), x, y))
+            four = places[np.searchsorted(owners, [a[k], b[k], c[k], d[k]])]
+            x, y = self._middle(four).tolist()
+            found.append((frame, int(lost[i[k]]), int(gained[j[k]]), x, y))
+        return found
+
+    def _middle(self, places: Floats) -> Floats:
+        """The mean of places (4, 2), on the same side of the walls of a periodic box."""
+        if self.box is None:
+            return np.asarray(places.mean(axis=0))
+        offset = places - places[0]
+        offset -= np.round(offset / self.box) * self.box
+        return np.asarray(np.mod(places[0] + offset.mean(axis=0), self.box))
 
     @property
     def n_flips(self) -> int:

@@ -242,15 +242,19 @@ def _rate(sums: FrameSums, persistence: int, rng: np.random.Generator) -> Quanti
     events = per_droplet(sums.events, len(sums.ids))[:, None]
     present = sums.in_window[:, None]
     long = len(sums.frames) > 2 * persistence
+    reason = "" if long else f"needs more than {2 * persistence} frames"
+    if not sums.inner.any() and not sums.n_flips:
+        reason = "no droplet is inner, and none changes its neighbours"
     value, error = ratio_and_error(events, present, rng)
     return Quantity(
-        stem="t1_rate", label="T1 events of a droplet", value=float(value[0]) if long else np.nan,
-        error=float(error[0]) if long else float("nan"), null=0.0, dimension=RATE,
+        stem="t1_rate", label="T1 events of a droplet",
+        value=float("nan") if reason else float(value[0]),
+        error=float("nan") if reason else float(error[0]), null=0.0, dimension=RATE,
         null_model="an affine motion; noise makes changes that do not last",
         definition="T1 events, changes of neighbours among four droplets in the window, before and "
         f"after which the pairs stay as they are for at least {persistence} frames, over droplets "
         "and frames",
-        reason="" if long else f"needs more than {2 * persistence} frames",
+        reason=reason,
     )  # fmt: skip
 
 

@@ -150,7 +150,7 @@ def _prepare_torch(config: TrainingConfig, network: Cfg, data: DataSet) -> Train
         bf16=config.precision is TrainingPrecision.bf16,
         frozen_statistics=config.frozen_statistics,
     )
-    draw = _image_source(config.draw) if config.draw else None
+    draw = image_source(config.draw) if config.draw else None
     network = make_run_folder(config.out, network, resume=config.resume)
     job = Job(
         cfg=network,
@@ -164,7 +164,7 @@ def _prepare_torch(config: TrainingConfig, network: Cfg, data: DataSet) -> Train
     return TrainingRun(network, {**machine(), **asdict(settings)}, train_with_torch(job))
 
 
-def _image_source(scene: str) -> DrawImage:
+def image_source(scene: str) -> DrawImage:
     """Draws images of a scene; a package that can do so says so by an entry point."""
     for source in entry_points(group="droptrack.pictures"):
         drawn: DrawImage = source.load()(scene)

@@ -5,7 +5,6 @@ import math
 import shutil
 import time
 from dataclasses import dataclass, replace
-from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -28,7 +27,6 @@ from droptrack.adaptation.looking import Looks, open_looks, seen_once
 from droptrack.adaptation.training_set import (
     N_TRAIN,
     N_VALID,
-    Draw,
     Ingredients,
     write_training_set,
 )
@@ -47,7 +45,7 @@ from droptrack.pipeline.notes import Say, to_stderr
 from droptrack.pipeline.results_folder import whole_name
 from droptrack.progress import progress_bar
 from droptrack.training.config import Optimizer, Trainer, TrainingConfig, TrainingPrecision
-from droptrack.training.run import train
+from droptrack.training.run import image_source, train
 from droptrack.version import __version__
 
 NAME = "adapted"  # of the network
@@ -247,8 +245,8 @@ def _draw(config: AdaptationConfig, found: _Found, say: Say) -> Path:
         )
     given = Ingredients(
         measured=found.measured,
-        draw_own=_image_source(str(set_up)),
-        draw_known=_image_source(DRAWINGS),
+        draw_own=image_source(str(set_up)),
+        draw_known=image_source(DRAWINGS),
         canvas=_canvas(found),
     )
     with progress_bar("images") as bar:
@@ -263,14 +261,6 @@ def _canvas(found: _Found) -> Canvas:
     size, network = found.footage.size, (found.network.width, found.network.height)
     canvas = Canvas.of(*size, found.looks.scale)
     return canvas if canvas.network == network else Canvas(network, size, size)
-
-
-def _image_source(scene: str) -> Draw:
-    """Draws images of a scene; a package that can do so says so by an entry point."""
-    for source in entry_points(group="droptrack.pictures"):
-        drawn: Draw = source.load()(scene)
-        return drawn
-    raise DroptrackError("adapt draws images with data_gen, which is not installed")
 
 
 def _train(config: AdaptationConfig, found: _Found, data: Path, say: Say) -> None:

@@ -15,6 +15,7 @@ from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.files import write_text
 from droptrack.detection.scale import Canvas
+from droptrack.training.config import DrawImage
 
 N_TRAIN, N_VALID = 640, 40
 # shares of the images, without and with labels
@@ -26,7 +27,6 @@ JPEG_QUALITY = 95
 KNOWN_SCALE = (0.3, 1.1)  # of the images that the network knows: px of its input for one of theirs
 EMPTY = 0.06  # share of the pasted images that are background alone
 
-Draw = Callable[[np.random.Generator], tuple[Pixels, Floats]]
 Image = tuple[Pixels, Floats]  # (H, W, C) and boxes (N, 4) px
 
 
@@ -39,8 +39,8 @@ class Ingredients:
     """
 
     measured: Measured
-    draw_own: Draw
-    draw_known: Draw
+    draw_own: DrawImage
+    draw_known: DrawImage
     canvas: Canvas
 
 

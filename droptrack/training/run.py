@@ -152,7 +152,7 @@ def _prepare_torch(config: TrainingConfig, network: Cfg, data: DataSet) -> Train
         droplets=config.droplets,
         negatives=config.negatives,
     )
-    draw = _image_source(config.draw) if config.draw else None
+    draw = image_source(config.draw) if config.draw else None
     network = make_run_folder(config.out, network, resume=config.resume)
     job = Job(
         cfg=network,
@@ -166,7 +166,7 @@ def _prepare_torch(config: TrainingConfig, network: Cfg, data: DataSet) -> Train
     return TrainingRun(network, {**machine(), **asdict(settings)}, train_with_torch(job))
 
 
-def _image_source(scene: str) -> DrawImage:
+def image_source(scene: str) -> DrawImage:
     """Draws images of a scene; a package that can do so says so by an entry point."""
     for source in entry_points(group="droptrack.pictures"):
         drawn: DrawImage = source.load()(scene)

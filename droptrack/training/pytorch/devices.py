@@ -25,7 +25,7 @@ def machine() -> dict[str, str]:
 def computes_faster_in_bf16() -> bool:
     """Whether there is a GPU, or a CPU with instructions for bf16; others imitate it, slowly."""
     if torch.cuda.is_available():
-        return torch.cuda.is_bf16_supported()
+        return bool(torch.cuda.is_bf16_supported())
     known = getattr(torch.cpu, "_is_avx512_bf16_supported", None)
     return bool(known is not None and known())
 

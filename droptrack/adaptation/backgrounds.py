@@ -34,9 +34,8 @@ def pixels_of(seen: Seen, channels: int) -> Pixels:
     if channels == 3:
         return frame
     plane = grey_plane(frame)
-    return np.asarray(cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane)[
-        ..., None
-    ]
+    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY) if plane is None else plane
+    return np.asarray(grey, np.uint8)[..., None]
 
 
 def views_of(seen: Sequence[Seen], *, related: bool) -> list[list[int]]:

@@ -27,8 +27,10 @@ from droptrack.training.pytorch.optimisation import gradient_step, make_optimize
 from droptrack.training.pytorch.settings import TorchSettings
 from tests.adaptation.drawn import boxes_at, channel_image, write_video
 
-QUICK = ("--scale", "1", "--iterations", "3", "--batch", "2", "--learning-rate", "0.0001")
-QUICK += ("--backend", "opencv")
+QUICK = (
+    *("--scale", "1", "--iterations", "3", "--batch", "2", "--learning-rate", "0.0001"),
+    *("--backend", "opencv"),
+)
 
 
 @pytest.fixture(autouse=True)

@@ -4,6 +4,7 @@ import functools
 import json
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Generator
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -132,7 +133,9 @@ def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, N
             done += _write_chunk((folder, recipe, chunk))
             yield done
     elif chunks:
-        with multiprocessing.Pool(workers) as pool:
+        # the pool ends its processes with SIGTERM, which is a Ctrl-C to the first process only
+        ends = (signal.SIGTERM, signal.SIG_DFL)
+        with multiprocessing.Pool(workers, signal.signal, ends) as pool:
             for written in pool.imap_unordered(
                 _write_chunk, ((folder, recipe, chunk) for chunk in chunks)
             ):

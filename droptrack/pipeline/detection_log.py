@@ -114,3 +114,10 @@ def _parse(line: bytes) -> tuple[int, Detections] | None:
         return int(number), Detections(boxes, scores, class_ids)
     except ValueError:
         return None
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or the number of entries of a folder; 0 of what is neither."""
+    if path.is_dir():
+        return len(list(path.iterdir()))
+    return path.stat().st_size if path.exists() else 0

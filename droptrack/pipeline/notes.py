@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 
+from droptrack.data.video import Video
 from droptrack.pipeline.results import Results
 
 MAX_NAMED = 5  # gaps in one line
@@ -12,6 +13,18 @@ Say = Callable[[str], object]
 def to_stderr(text: str) -> None:
     """Tell it on stderr."""
     print(text, file=sys.stderr)
+
+
+def say_what_is_missing(name: str, source: Video, n_missing: int, say: Say) -> None:
+    """Tell how many frames of a source were lost or damaged."""
+    if source.n_lost:
+        say(f"{name}: about {source.n_lost} frames lost while the stream was away")
+    elif n_missing > source.n_absent:
+        claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
+        say(
+            f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
+            f"{', or ends early' if source.counted else ''}"
+        )
 
 
 def say_what_is_unsure(source: str, results: Results, say: Say) -> None:

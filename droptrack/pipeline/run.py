@@ -28,11 +28,11 @@ from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.classes import CLASS_ID, CLASS_NAME, Classes, ClassVotes, classes_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.contours import contour_log
-from droptrack.pipeline.detection_log import DetectionLog
+from droptrack.pipeline.detection_log import DetectionLog, size_of
 from droptrack.pipeline.doubts import doubts
 from droptrack.pipeline.drawing import Annotator
 from droptrack.pipeline.loop import track_frames
-from droptrack.pipeline.notes import Say, say_what_is_unsure, to_stderr
+from droptrack.pipeline.notes import Say, say_what_is_missing, say_what_is_unsure, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.report_events import parsed, write_events
 from droptrack.pipeline.results import Results, columns_with, summarise, write_report
@@ -319,7 +319,7 @@ def _detection_log(
         return
     made = {
         "video": whole_name(config.video),
-        "bytes": _size(Path(config.video)),
+        "bytes": size_of(Path(config.video)),
         "weights sha256": sha256_of(opened.network.weights),
         "cfg": cfg_text(opened.network.cfg),
         "batch": config.batch,
@@ -332,13 +332,6 @@ def _detection_log(
         if log.n_frames:
             say(f"{printable(config.video)}: resumed after {log.n_frames} frames")
         yield log
-
-
-def _size(path: Path) -> int:
-    """Bytes of a file, or the number of entries of a folder; 0 of what is neither."""
-    if path.is_dir():
-        return len(list(path.iterdir()))
-    return path.stat().st_size if path.exists() else 0
 
 
 def _stopped_as_asked(config: TrackingConfig, results: Results) -> bool:
@@ -391,14 +384,7 @@ def _say_what_is_odd(
 ) -> None:
     """Tell what a user might not expect of the results."""
     name = printable(config.video)
-    if source.n_lost:
-        say(f"{name}: about {source.n_lost} frames lost while the stream was away")
-    elif n_missing > source.n_absent:
-        claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
-        say(
-            f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
-            f"{', or ends early' if source.counted else ''}"
-        )
+    say_what_is_missing(name, source, n_missing, say)
     say_what_is_unsure(config.video, results, say)
     if results.n_frames and not results.n_detections:
         shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")

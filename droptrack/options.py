@@ -11,7 +11,11 @@ from droptrack.detection.engine_choice import Backend, Precision
 from droptrack.errors import DroptrackError
 
 WeightsOption = Annotated[
-    Path | None, typer.Option(help="Darknet weights (.weights); default: the bundled model.")
+    Path | None,
+    typer.Option(
+        help="Darknet weights (.weights), or footage: the bundled model for what laboratories "
+        "film; default: the bundled model for bright droplets of simulations.",
+    ),
 ]
 CfgOption = Annotated[
     Path | None,
@@ -32,7 +36,7 @@ ScaleOption = Annotated[
     typer.Option(
         metavar="auto|NUMBER",
         help="Px of the network's input for a px of the frames; auto: what suits the droplets of "
-        "some of the frames. Default: auto with the bundled model, else the cfg's size.",
+        "some of the frames. Default: auto with --weights footage, else the cfg's size.",
     ),
 ]
 DiameterOption = Annotated[

@@ -17,7 +17,7 @@ from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
-from droptrack.network.bundled import find_network
+from droptrack.network.bundled import FOOTAGE, find_network
 from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.pipeline.config import DetectorConfig
 from droptrack.pipeline.notes import Say
@@ -129,7 +129,7 @@ def _given_canvases(
     scale = config.scale
     if config.diameter_px is not None:
         scale = DIAMETER_PX / config.diameter_px
-    if scale == AUTO or (scale is None and config.weights is None):
+    if scale == AUTO or (scale is None and config.weights == FOOTAGE):
         return []
     if scale is None:
         return [(None, Canvas.like(width, height, own))]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from droptrack.data.files import read_text, write_text
 from droptrack.data.report import Value
 from droptrack.errors import DroptrackError
-from droptrack.network.bundled import find_network
+from droptrack.network.bundled import FOOTAGE, find_network
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.detection_log import NAME as DETECTION_LOG
@@ -242,4 +242,5 @@ def _absolute(config: TrackingConfig) -> TrackingConfig:
 
 
 def _path(path: Path | None) -> Path | None:
-    return None if path is None else path.absolute()
+    """A file for any folder to work in; FOOTAGE is no file."""
+    return path if path is None or path == FOOTAGE else path.absolute()

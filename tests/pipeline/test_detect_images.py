@@ -80,6 +80,29 @@ def test_faint_and_red_images_are_seen_as_clearly_as_white_ones(tmp_path: Path) 
     assert (red_one, white_one) == ("the red channel", "")
 
 
+def test_the_model_of_footage_finds_rims_at_a_scale_of_its_own_choice(tmp_path: Path) -> None:
+    """Nine dark rings on grey by hand, the same grey inside and out, 140 px and so too large."""
+    canvas = np.full((760, 900), 150, np.uint8)
+    places = [(160.0 + 280 * column, 130.0 + 250 * row) for column in range(3) for row in range(3)]
+    for x, y in places:
+        cv2.circle(canvas, (round(x), round(y)), 67, 60, 6, cv2.LINE_AA)
+    noisy = canvas + np.random.default_rng(0).normal(0, 3, canvas.shape)
+    cv2.imwrite(str(tmp_path / "rims.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    out = tmp_path / "out"
+    code, said = detect(str(tmp_path / "rims.png"), "--out", str(out), "--weights", "footage")
+    assert code == 0, said
+    rows = rows_of(out)
+    found = np.array([[float(row["x"]), float(row["y"])] for row in rows])
+    assert len(found) == 9
+    away = np.hypot(*(np.array(places)[:, None] - found).transpose(2, 0, 1))
+    assert away.min(axis=1).max() < 3
+    diameters = np.array([float(row["diameter_px"]) for row in rows])
+    np.testing.assert_allclose(diameters, 140, rtol=0.03)
+    settings = json.loads((out / "report.json").read_text())["settings"]
+    assert settings["network"].endswith("yolov3-tiny-footage.weights")
+    assert 8 <= 140 * settings["scale"] <= 240
+
+
 def test_a_folder_and_a_video_are_many_images(sine: Path, tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -108,7 +108,7 @@ def fuse(parts: Sequence[Detections]) -> tuple[Detections, Floats]:
     >>> one, two = (Detections(box + [d, 0, 0, 0], np.array([0.8]), np.zeros(1, int))
     ...             for d in (0, 2))
     >>> fused, shares = fuse([one, two])
-    >>> fused.boxes.tolist(), fused.scores.tolist(), shares.tolist()
+    >>> fused.boxes.round(6).tolist(), fused.scores.round(6).tolist(), shares.tolist()
     ([[51.0, 50.0, 20.0, 20.0]], [0.8], [1.0])
     """
     of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])

@@ -5,7 +5,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from droptrack.data.files import read_text
 from droptrack.data.report import Value
@@ -76,8 +76,7 @@ def numbers_of(folder: Path, analysed: tuple[str, ...], *, events: bool) -> Mapp
         errors = {key for key in content if key.endswith("_error")}
         found |= {f"{name}_{key}": content[key] for key in content if key not in errors}
     if events:
-        summary = _read(folder / "events" / "report.json").get("summary", {})
-        assert isinstance(summary, dict)
+        summary: Any = _read(folder / "events" / "report.json").get("summary", {})
         found |= {key: value for key, value in summary.items() if key.startswith(OF_EVENTS)}
     return {
         key: value

@@ -151,7 +151,8 @@ def forming_plug(
 
     The head is up to `height` px high, half of it; where the thread is as high, there is none.
     """
-    outline = next(_plug(channel.angle, centre, half, 1.0, sides, labelled=False), None)
+    whole = _plug(channel.angle, centre, half, 1.0, sides, labelled=False, margin=height)
+    outline = next(whole, None)
     if outline is None:
         return
     if half[1] > 0.8 * height:
@@ -167,11 +168,18 @@ def forming_plug(
 
 
 def _plug(
-    angle: float, centre: Floats, half: Floats, roundness: float, sides: float, *, labelled: bool
+    angle: float,
+    centre: Floats,
+    half: Floats,
+    roundness: float,
+    sides: float,
+    *,
+    labelled: bool,
+    margin: float = 4.0,
 ) -> Iterator[Outline]:
-    """One plug of half sizes (2,) px, if any of it is in the image."""
+    """One plug of half sizes (2,) px, and `margin` px around it, if any of it is in the image."""
     radius = float(min(half)) * roundness
-    patch = patch_around(SHAPE, centre, float(np.hypot(*half)) + 4)
+    patch = patch_around(SHAPE, centre, float(np.hypot(*half)) + margin)
     if patch.is_empty:
         return
     distance = stadium_distance(patch, centre, half, radius, angle)

@@ -37,11 +37,16 @@ def paint_suspended(
         place = _place(distance, 1.2 * size, rng)
         if place is None:
             return
-        for _ in range(1 if rng.random() < 0.7 else int(rng.integers(2, 5))):
-            one = size * rng.uniform(0.7, 1.3)
-            _paint(canvas, place + 0.5, one, tone * rng.uniform(0.6, 1.2), rng)
-            angle = rng.uniform(0, 2 * np.pi)
-            place = place + 2 * size * np.array([np.cos(angle), np.sin(angle)])
+        cluster = np.zeros((1 if rng.random() < 0.7 else int(rng.integers(2, 5)), 2))
+        angles = rng.uniform(0, 2 * np.pi, len(cluster) - 1)
+        cluster[1:] = (
+            2 * size * np.cumsum(np.column_stack([np.cos(angles), np.sin(angles)]), axis=0)
+        )
+        for x, y in np.round(place + cluster).astype(int).tolist():
+            inside = 0 <= y < distance.shape[0] and 0 <= x < distance.shape[1]
+            if inside and distance[y, x] < -size:
+                at, one = np.array([x, y]) + 0.5, size * rng.uniform(0.7, 1.3)
+                _paint(canvas, at, one, tone * rng.uniform(0.6, 1.2), rng)
 
 
 def _place(distance: Float32s, depth: float, rng: np.random.Generator) -> Floats | None:

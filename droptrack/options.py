@@ -13,8 +13,8 @@ from droptrack.errors import DroptrackError
 WeightsOption = Annotated[
     Path | None,
     typer.Option(
-        help="Darknet weights (.weights), or footage: the bundled model for what laboratories "
-        "film; default: the bundled model for bright droplets of simulations.",
+        help="Darknet weights (.weights), or one of the bundled models: simulations (bright, "
+        "filled droplets), footage (droplets as laboratories film them).",
     ),
 ]
 CfgOption = Annotated[
@@ -36,7 +36,7 @@ ScaleOption = Annotated[
     typer.Option(
         metavar="auto|NUMBER",
         help="Px of the network's input for a px of the frames; auto: what suits the droplets of "
-        "some of the frames. Default: auto with --weights footage, else the cfg's size.",
+        "some of the frames. Default: auto for footage, else the cfg's size.",
     ),
 ]
 DiameterOption = Annotated[

@@ -3,7 +3,7 @@
 import functools
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -20,6 +20,7 @@ from droptrack.data.sources.image_files import TIFF_SUFFIXES
 from droptrack.data.sources.microscopy import MICROSCOPY_SUFFIXES
 from droptrack.data.sources.opencv_names import printable
 from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
+from droptrack.detection.engine_choice import Engines
 from droptrack.detection.normalisation import normalisation_for
 from droptrack.errors import DroptrackError
 from droptrack.network.bundled import find_network
@@ -34,6 +35,9 @@ from droptrack.progress import progress_bar
 from droptrack.version import __version__
 
 CALIBRATED = (*TIFF_SUFFIXES, *MICROSCOPY_SUFFIXES)  # files that may say how wide a pixel is
+LIKE_SIZES = 1.1  # up to this ratio of widths, and of heights, images share a scale
+
+Size = tuple[int, int]  # width and height, px
 Normalise = Callable[[Frame], tuple[Frame, str]]  # an image -> what is shown of it, and how
 
 
@@ -54,7 +58,8 @@ def detect_images(
     """
     began = time.perf_counter()
     check_contours(config.contours, shape=config.shape)
-    detectors: dict[tuple[int, int], OpenedDetector] = {}
+    detectors: dict[Size, OpenedDetector] = {}
+    engines = Engines()
     normalise = _normalised if config.normalises else _as_it_is  # each image by its own contrast
     of_detector = replace(config, normalise=False)
     images = _read_images(config, say)
@@ -76,7 +81,10 @@ def detect_images(
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
                 samples = functools.partial(_samples, config, image, normalise)
-                detectors[size] = open_detector(of_detector, size, samples, live=False, say=say)
+                like = _as_for_like_images(of_detector, size, detectors)
+                detectors[size] = open_detector(
+                    like, size, samples, live=False, say=say, engines=engines
+                )
             seen, how = normalise(image.frame)
             (found,) = detectors[size].detector.detect([seen])
             results.add(image, found, how, detectors[size].region)
@@ -177,17 +185,36 @@ def _as_it_is(frame: Frame) -> tuple[Frame, str]:
     return frame, ""
 
 
+def _as_for_like_images(
+    config: ImagesConfig, size: Size, detectors: Mapping[Size, OpenedDetector]
+) -> ImagesConfig:
+    """The model and the scale chosen for images of about a size (width, height) px, if any were."""
+    chosen = [how.settings for other, how in detectors.items() if _about_equal(size, other)]
+    for settings in chosen:
+        if "model" in settings:
+            config = replace(config, weights=Path(str(settings["model"])))
+        if "scale_chosen_from" in settings:
+            config = replace(config, scale=float(str(settings["scale"])))
+    return config
+
+
+def _about_equal(size: Size, other: Size) -> bool:
+    pairs = zip(size, other, strict=True)
+    return all(max(sides) <= LIKE_SIZES * min(sides) for sides in pairs)
+
+
 def _samples(config: ImagesConfig, like: Image, normalise: Normalise) -> list[Frame]:
-    """Some frames of an image's video; or some of all images of its size, that one first."""
+    """Some frames of an image's video; or some of all images of about its size, that one first."""
     video = Video(str(like.source), config.reading)
     if like.source.suffix.lower() not in IMAGE_SUFFIXES or video.info.n_frames > 1:
         return [normalise(frame)[0] for frame in sample_frames(video, N_SAMPLES)]
     size = like.frame.shape[1::-1]
     files = [file for file in _files(config.sources) if file.suffix.lower() in IMAGE_SUFFIXES]
-    alike = [file for file in files if file != like.source and _image_size(file) == size]
+    sizes = {file: _image_size(file) for file in files if file != like.source}
+    alike = [file for file, other in sizes.items() if other and _about_equal(size, other)]
     others = [alike[number] for number in spread(len(alike), N_SAMPLES - 1)]
     frames = [like.frame, *(Video(str(file), config.reading).samples()[0] for file in others)]
-    return [normalise(frame)[0] for frame in frames if frame.shape == like.frame.shape]
+    return [normalise(frame)[0] for frame in frames]
 
 
 def _image_size(path: Path) -> tuple[int, int] | None:
@@ -218,9 +245,7 @@ def _contour_writer(
     ).open()
 
 
-def _settings(
-    config: ImagesConfig, detectors: dict[tuple[int, int], OpenedDetector]
-) -> dict[str, Value]:
+def _settings(config: ImagesConfig, detectors: Mapping[Size, OpenedDetector]) -> dict[str, Value]:
     """How the results were made; of images of several sizes, what holds for the first."""
     opened = next(iter(detectors.values()))
     return {

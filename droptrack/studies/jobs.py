@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from droptrack.data.files import read_text, write_text
 from droptrack.data.report import Value
 from droptrack.errors import DroptrackError
-from droptrack.network.bundled import FOOTAGE, find_network
+from droptrack.network.bundled import find_network, is_bundled
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.detection_log import NAME as DETECTION_LOG
@@ -291,7 +291,7 @@ def _absolute(config: TrackingConfig) -> TrackingConfig:
     mask = _mask(config)
     return replace(
         config,
-        weights=_path(config.weights),
+        weights=config.weights if is_bundled(config.weights) else _path(config.weights),
         cfg=_path(config.cfg),
         region=str(mask.absolute()) if mask else config.region,
         tracker=tracker,
@@ -299,5 +299,5 @@ def _absolute(config: TrackingConfig) -> TrackingConfig:
 
 
 def _path(path: Path | None) -> Path | None:
-    """A file for any folder to work in; FOOTAGE is no file."""
-    return path if path is None or path == FOOTAGE else path.absolute()
+    """A file for any folder to work in."""
+    return None if path is None else path.absolute()

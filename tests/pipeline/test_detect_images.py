@@ -81,7 +81,7 @@ def test_faint_and_red_images_are_seen_as_clearly_as_white_ones(tmp_path: Path) 
     assert (red_one, white_one) == ("the red channel", "")
 
 
-def test_the_model_of_footage_finds_rims_at_a_scale_of_its_own_choice(tmp_path: Path) -> None:
+def test_rims_are_found_at_a_scale_of_its_own_choice(tmp_path: Path) -> None:
     """Nine dark rings on grey by hand, the same grey inside and out, 140 px and so too large."""
     canvas = np.full((760, 900), 150, np.uint8)
     places = [(160.0 + 280 * column, 130.0 + 250 * row) for column in range(3) for row in range(3)]

@@ -168,7 +168,8 @@ def _trace(
             end = ends[1] + LOOK_PX * (limits[droplet, ray] == NEIGHBOUR)
             inside = signs[droplet] * levels[droplet, 2]
             flanks[:, droplet, ray] = _ring_flanks(heights, *ends, end, scale, inside)
-            radii[rings] = _with_shared(*flanks[:, rings], limits[rings] == IMAGE)
+            inner, outer = flanks[0, rings], flanks[1, rings]
+            radii[rings] = _with_shared(inner, outer, limits[rings] == IMAGE)
         else:
             radii[droplet, ray] = _filled_edges(heights, *ends, scale)
     states = np.where(np.isfinite(radii), SEEN, np.where(limits == IMAGE, CUT, UNSEEN))

@@ -316,7 +316,7 @@ def _ring(
     else:
         outside = np.median(outer) if alone else inside
     over, under = highest - max(inside, outside), min(inside, outside) - lowest
-    noise = s.noise * np.median(np.abs(outer - np.median(outer)))
+    noise = float(s.noise * np.median(np.abs(outer - np.median(outer))))
     if min_risen < s.min_risen and not alone:
         noise = 0.0
     least = max(s.min_contrast, s.ring_share * abs(inside - outside))
@@ -417,7 +417,7 @@ def _find_edges(
         flanks[ray] = _ring_flanks(one, reach, scale, sign * levels[2], s)
     if ring:
         _with_shared(flanks, limits[:, 1], s)
-    return ring
+    return bool(ring)
 
 
 @njit(SIGNATURE, **FAST)

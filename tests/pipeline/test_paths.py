@@ -80,8 +80,18 @@ def test_droplets_enter_and_leave_at_the_border_that_cuts_them() -> None:
     paths = Paths()
     for some in (slice(9), slice(9, n)):
         ids = np.full(n, 1 if some.start is None else 2)
-        columns = (frames, ids, at, y, boxes, np.ones(n), np.ones(n, bool))
-        paths.add(sorted_trajectories(*(one[some] for one in columns), {"at_edge": cut[some]}))
+        paths.add(
+            sorted_trajectories(
+                frames[some],
+                ids[some],
+                at[some],
+                y[some],
+                boxes[some],
+                np.ones(n)[some],
+                np.ones(n, bool)[some],
+                {"at_edge": cut[some]},
+            )
+        )
     paths.add(rows([(t, 3, 90.0, 30.0, True) for t in range(12)]))
     entered, left = paths.passages(200, 200)
     assert (counted(entered), counted(left)) == (["border 1", "inside 1"], ["border 1", "inside 1"])

@@ -3,9 +3,9 @@
 import copy
 import functools
 import inspect
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
@@ -168,8 +168,10 @@ def _asked_for(texts: Sequence[str]) -> "tuple[Asked, ...]":
     asked = []
     for one in asked_for(texts):
         config = one.config
-        if isinstance(config, StructureConfig) and config.region and Path(config.region).is_file():
-            config = replace(config, region=str(Path(config.region).absolute()))
+        if isinstance(config, StructureConfig):
+            region = config.region
+            if region and os.path.isfile(region):  # noqa: PTH113  any text may come
+                config = replace(config, region=os.path.abspath(region))  # noqa: PTH100
         asked.append(replace(one, config=config))
     return tuple(asked)
 

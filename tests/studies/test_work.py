@@ -135,6 +135,17 @@ def test_a_video_that_kills_its_workers_is_given_up_and_others_are_done(
     assert sum(isinstance(one, Note) for one in told) == 2  # tried again twice
 
 
+def test_a_worker_that_is_killed_while_it_starts_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "MODULE", "tests.studies.process_killed_at_start")
+    monkeypatch.setenv("KILLED_BEFORE", str(tmp_path / "killed"))
+    told = list(LocalWorkers(1).work([job(tmp_path / "a.avi", tmp_path)]))
+    assert [one.reason for one in told if isinstance(one, Outcome)] == [""]
+    (note,) = (one.text for one in told if isinstance(one, Note))
+    assert "was killed by signal 9 (for want of memory?) while it started" in note
+
+
 def test_a_worker_that_cannot_start_is_said_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

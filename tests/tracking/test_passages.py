@@ -20,11 +20,10 @@ def test_a_new_size_is_judged_by_students_distribution(n: int) -> None:
         return np.asarray(2 * (own - norm.logpdf(at, loc=mean, scale=ANY_SIZE)).sum(axis=1))
 
     assert passages.evidence_of_size(new, 0.05) == pytest.approx(expected(new))
-    assert passages.evidence_of_mean_size(0.05) == pytest.approx(float(expected(mean[None])[0]))
 
 
 def test_one_droplet_tells_nothing_of_sizes() -> None:
-    assert Passages(sizes=np.ones((1, 2))).evidence_of_mean_size(0.1) == 0
+    assert Passages(sizes=np.ones((1, 2))).evidence_of_size(np.ones((1, 2)), 0.1) == 0
 
 
 def test_the_miss_rate_is_the_share_of_boxes_missed() -> None:

@@ -142,34 +142,24 @@ class Passages:
     def evidence_of_size(self, log_sizes: Floats, deviation: float) -> Floats:
         """2 log likelihood ratio (N,) of sizes (N, 2): of a droplet, to any box.
 
-        `deviation`: of a box's size from its droplet's.
-        """
-        if not len(self.sizes):
-            return np.zeros(len(log_sizes))
-        return self._evidence_off_mean(log_sizes - self.sizes.mean(axis=0), deviation)
-
-    def evidence_of_mean_size(self, deviation: float) -> float:
-        """The same of a box as large as droplets are."""
-        if not len(self.sizes):
-            return 0.0
-        return float(self._evidence_off_mean(np.zeros((1, 2)), deviation)[0])
-
-    def _evidence_off_mean(self, off: Floats, deviation: float) -> Floats:
-        """The same (N,) of sizes that are so much (N, 2) off the mean one.
-
         Of n droplets, the next one's size has Student's distribution with n - 1 degrees of freedom.
+        `deviation`: of a box's size from its droplet's.
         """
         n = len(self.sizes)
         if n < MIN_SIZES:
-            return np.zeros(len(off))
+            return np.zeros(len(log_sizes))
         variance = np.minimum(self.sizes.var(axis=0, ddof=1) + deviation**2, ANY_SIZE**2)
         variance *= 1 + 1 / n
-        square = off**2
-        free = n - 1
+        square, free = (log_sizes - self.sizes.mean(axis=0)) ** 2, n - 1
         peak = lgamma(n / 2) - lgamma(free / 2) - log(free / 2) / 2
         ratio = np.log(ANY_SIZE**2 / variance) + 2 * peak + square / ANY_SIZE**2
         ratio -= n * np.log1p(square / variance / free)
         return np.asarray(ratio.sum(axis=1))
+
+    def evidence_of_mean_size(self, deviation: float) -> float:
+        """About the same of a box as large as droplets are; little while few are known."""
+        variance = np.minimum(self.size_variance + deviation**2, ANY_SIZE**2)
+        return float(np.log(ANY_SIZE**2 / variance).sum())
 
 
 def _with(places: Floats, more: Floats) -> Floats:

@@ -57,18 +57,26 @@ def merge(
     new, old = np.array(pairs).T
     gaps = tracks.unseen[old] - tracks.images[new] + 1
     passages = passages.resuming(tracks.last_position[old], np.maximum(gaps, 1))
-    frames = tracks.missed[old] - tracks.frames[new]
+    n_frames = tracks.missed[old] - tracks.frames[new]
     merged = Merged(
         pairs=tuple(zip(tracks.ids[new].tolist(), tracks.ids[old].tolist(), strict=True)),
-        resumed=resumptions(tracks, old, tracks.first_position[new], frames, log_odds, flow),
+        resumed=resumptions(tracks, old, tracks.first_position[new], n_frames, log_odds, flow),
     )
     ids, confirmed = tracks.ids.copy(), tracks.confirmed.copy()
     hits, duplicate_of = tracks.hits.copy(), tracks.duplicate_of.copy()
-    ids[new] = ids[old]
+    frames, first = tracks.frames.copy(), tracks.first_position.copy()
+    ids[new], frames[new], first[new] = ids[old], frames[old], first[old]
     confirmed[new] = True
     hits[new] += hits[old]
     duplicate_of[new] = 0
-    tracks = tracks.replaced(ids=ids, confirmed=confirmed, hits=hits, duplicate_of=duplicate_of)
+    tracks = tracks.replaced(
+        ids=ids,
+        confirmed=confirmed,
+        hits=hits,
+        duplicate_of=duplicate_of,
+        frames=frames,
+        first_position=first,
+    )
     return tracks[np.delete(np.arange(len(tracks)), old)], passages, merged
 
 

@@ -137,15 +137,27 @@ KnownLengthOption = Annotated[
         help="Instead: two places in the image, px, and the micrometres between them.",
     ),
 ]
+PixelsOnlyOption = Annotated[
+    bool,
+    typer.Option("--pixels-only", help="No micrometres, though the file says a pixel's size."),
+]
 FpsOption = Annotated[
     float | None, typer.Option(help="Frames a second when it was filmed; default: the file's.")
 ]
 
 
-def units_from(um_per_px: float | None, known_length: str | None, fps: float | None) -> Units:
-    """What the three options say; raises DroptrackError where they contradict each other."""
+def units_from(
+    um_per_px: float | None,
+    known_length: str | None,
+    fps: float | None = None,
+    *,
+    pixels_only: bool = False,
+) -> Units:
+    """What the options say; raises DroptrackError where they contradict each other."""
     if known_length is not None:
         if um_per_px is not None:
             raise DroptrackError("give --um-per-px or --known-length, not both")
         um_per_px = parse_known_length(known_length)
+    if pixels_only and um_per_px is not None:
+        raise DroptrackError("give a pixel's size or --pixels-only, not both")
     return Units(um_per_px=um_per_px, fps=fps)

@@ -100,7 +100,8 @@ class ImagesConfig(DetectorConfig):
     `sources`: images, folders of images, and videos, and how they are read. `out`: the folder for
     the results.
     `annotated`: write the images with the boxes, too. `overwrite`: the results of an earlier run
-    on the same sources.
+    on the same sources. `units`: how wide a pixel is, for columns in micrometres; by default what
+    each file says, but for pixels where `pixels_only` is set.
     """
 
     sources: tuple[str, ...]
@@ -108,6 +109,8 @@ class ImagesConfig(DetectorConfig):
     reading: ReadOptions = field(default_factory=ReadOptions)
     annotated: bool = True
     overwrite: bool = False
+    units: Units = field(default_factory=Units)
+    pixels_only: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

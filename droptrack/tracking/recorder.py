@@ -104,6 +104,7 @@ class Recorder:
         self._added: deque[int] = deque(maxlen=hold + 1)  # the last frames
         self._frames: dict[int, list[_Rows]] = {}
         self._last: dict[int, int] = {}  # the frame in which each living track was last seen
+        self._open: dict[int, list[tuple[int, int]]] = {}  # gaps of tracks not confirmed yet
         self._confirmed: set[int] = set()  # all of which there are rows
         self._terminated: deque[tuple[int, int]] = deque()  # frames, and tracks terminated in them
 
@@ -133,6 +134,7 @@ class Recorder:
         values = [self._frames.pop(frame)[0].values for frame in frames]
         self.gaps.clear()
         self._last.clear()
+        self._open.clear()
         self._confirmed.clear()
         self._terminated.clear()
         for frame, one, update in zip(frames, values, updates, strict=True):
@@ -145,15 +147,26 @@ class Recorder:
             self._merge(old, new)
         self._added.append(frame)
         self._frames[frame] = [_Rows(update.track_ids.copy(), values, observed=True)]
-        self._confirmed.update(update.confirmed)
+        self._confirm(update.confirmed)
         seen = update.track_ids.tolist()
         for track_id in [one for one in seen if self._last.get(one, frame - 1) < frame - 1]:
+            gap = (self._last[track_id], frame)
             if track_id in self._confirmed:
-                self._bridge(track_id, frame)
+                self._bridge(track_id, *gap)
+            else:
+                self._open.setdefault(track_id, []).append(gap)
         self._last.update(dict.fromkeys(seen, frame))
         for track_id in update.terminated:
             self._last.pop(track_id, None)
+            self._open.pop(track_id, None)
             self._terminated.append((frame, track_id))
+
+    def _confirm(self, track_ids: tuple[int, ...]) -> None:
+        """Take tracks as droplets, with the gaps that they had before."""
+        self._confirmed.update(track_ids)
+        for track_id in self._open.keys() & track_ids:
+            for gap in self._open.pop(track_id):
+                self._bridge(track_id, *gap)
 
     def rows_of(self, frame: int) -> list[Row]:
         """The rows of a frame so far; the last few frames may still get more."""
@@ -180,6 +193,7 @@ class Recorder:
     def _merge(self, old: int, new: int) -> None:
         """Give an old track a new one's rows; where it has its own, the larger box counts."""
         self._last.pop(new, None)
+        self._open.pop(new, None)
         for frame in list(self._frames):
             added, own = self._row_of(new, frame), self._row_of(old, frame)
             if added is None:
@@ -190,12 +204,11 @@ class Recorder:
                 smaller, at = own if _area(added) > _area(own) else added
                 smaller.ids[at] = NO_TRACK
             elif frame > self._last[old]:
-                self._bridge(old, frame)
+                self._bridge(old, self._last[old], frame)
                 self._last[old] = frame
 
-    def _bridge(self, track_id: int, frame: int) -> None:
-        """Fill the frames since the track was last seen, on a straight line, with score 0."""
-        start = self._last[track_id]
+    def _bridge(self, track_id: int, start: int, frame: int) -> None:
+        """Fill the frames between two in which it was seen, on a straight line, with score 0."""
         before, now = self._values_of(track_id, start), self._values_of(track_id, frame)
         if frame - start - 1 > LONG_GAP:
             known = self._resumed.pop(track_id, Resumption(track_id, math.nan, against_flow=False))

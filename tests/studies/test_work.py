@@ -12,6 +12,7 @@ from droptrack.errors import DroptrackError
 from droptrack.pipeline.run import run
 from droptrack.studies import local, work
 from droptrack.studies import run as study_run
+from droptrack.studies.at_address import Place
 from droptrack.studies.jobs import LOG, Job, job_of, left_to_do, read_kept
 from droptrack.studies.local import LocalWorkers, fitting_workers
 from droptrack.studies.options import Given
@@ -76,7 +77,7 @@ def test_a_full_disk_ends_the_study_and_keeps_what_was_done(
 ) -> None:
     for name in "abc":
         clips(tmp_path / f"{name}.avi", 0, 2)
-    study = Study(sources=(str(tmp_path / "*.avi"),), out=tmp_path / "out", options=FAST)
+    study = Study(sources=(str(tmp_path / "*.avi"),), place=Place(tmp_path / "out"), options=FAST)
     planned = plan(study, OPTIONS, print)
 
     def full(config: object, *rest: object, **options: object) -> object:

@@ -71,6 +71,15 @@ def test_a_gap_is_bridged_on_a_straight_line_and_said_to_be() -> None:
     assert rows.measured.tolist() == [True, False, False, True]
 
 
+@pytest.mark.parametrize("confirmed_at", [2, 3])
+def test_a_gap_before_confirmation_is_bridged_too(confirmed_at: int) -> None:
+    recorder = Recorder(hold=30)
+    for frame, where in enumerate([{1: 10.0}, {}, {1: 14.0}, {1: 16.0}]):
+        add(recorder, frame, where, confirmed=(1,) if frame == confirmed_at else ())
+    rows = table(recorder.take_rest(unconfirmed=False))
+    assert rows == [(0, 1, 10, True), (1, 1, 12, False), (2, 1, 14, True), (3, 1, 16, True)]
+
+
 def test_rows_are_final_once_no_gap_can_reach_back_and_given_once() -> None:
     recorder = Recorder(hold=2)
     given = []

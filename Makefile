@@ -6,7 +6,7 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 SEED ?= 0
 SPOILT ?= 0
 DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
-SCALE ?= small# of make reproduce: small, under half an hour, or paper, the paper's sizes
+SCALE ?= small# of make reproduce: small, or paper, the paper's sizes
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
 .PHONY: setup dev demo dataset train-tiny train train-droplets calibrate reproduce bench soak \

@@ -44,7 +44,9 @@ app = new_app()
 @app.command()
 @one_line_errors
 def main(
-    scale: Annotated[Size, typer.Option(help="small: half an hour; paper: the paper's.")] = "small",
+    scale: Annotated[
+        Size, typer.Option(help="small: minutes; paper: the sizes of the paper.")
+    ] = "small",
     out: Annotated[Path, typer.Option(help="Folder for everything.")] = Path("reproduction"),
     stage: Annotated[
         str | None,

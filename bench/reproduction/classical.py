@@ -1,6 +1,6 @@
 """What a user would pick instead of a network: thresholds, watershed, trackpy's locator.
 
-Each has a few settings, of which those are taken that find most on six frames of the video, by
+Each has a few settings, of which those are taken that find most on four frames of the video, by
 its ground truth: more than a user can do.
 """
 
@@ -18,7 +18,7 @@ from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.trajectories import Trajectories
 from droptrack.evaluation.trajectory_scores import match
 
-N_CHOSEN_ON = 6  # frames
+N_CHOSEN_ON = 4  # frames
 MIN_AREA = 20  # px²: smaller things are noise
 LINE_PX = 3  # of a watershed, at most
 Finder = Callable[[Pixels], Found]
@@ -62,14 +62,14 @@ def trackpy_locate(image: Pixels, diameter: int, minmass: float) -> Found:
     import trackpy
 
     with quiet_trackpy():
-        table: Any = trackpy.locate(image, diameter, minmass=minmass)
+        table: Any = trackpy.locate(image, diameter, minmass=minmass, characterize=False)
     centres = table[["x", "y"]].to_numpy(float) + 0.5
     return Found(centres, np.full((len(centres), 2), float(diameter)))
 
 
 def methods(diameter: float) -> dict[str, list[Method]]:
     """Every method with its settings, for droplets of about a diameter in px."""
-    odd = sorted({int(diameter * factor) // 2 * 2 + 1 for factor in (0.5, 0.75, 1.0)})
+    odd = sorted({int(diameter * factor) // 2 * 2 + 1 for factor in (0.7, 1.0, 1.4)})
     return {
         "threshold": [
             Method(f"blur {blur:g} px", partial(threshold, blur_px=blur)) for blur in (0, 1, 2)
@@ -87,7 +87,7 @@ def methods(diameter: float) -> dict[str, list[Method]]:
                 partial(trackpy_locate, diameter=size, minmass=mass),
             )
             for size in odd
-            for mass in (0, 5.0 * size**2)
+            for mass in (10 * size**2, 30 * size**2)
         ],
     }
 

@@ -129,8 +129,8 @@ def claim(of: Reproduction) -> None:
 def _refuse_another(path: Path, stamp: Mapping[str, Any]) -> None:
     cure = f"choose another --out, or delete {path.parent}"
     try:
-        found = json.loads(read_text(path))
-    except ValueError:
+        found = dict(json.loads(read_text(path)))
+    except (ValueError, TypeError):
         raise DroptrackError(f"{path}: is damaged; {cure}") from None
     for key in ("droptrack", "layout"):
         if found.get(key) != stamp[key]:
@@ -154,8 +154,8 @@ def forget(of: Reproduction, names: Sequence[str]) -> None:
 
 def _inputs_of(path: Path) -> object:
     try:
-        return json.loads(read_text(path)).get("inputs")
-    except ValueError:
+        return dict(json.loads(read_text(path))).get("inputs")
+    except (ValueError, TypeError):
         return None
 
 

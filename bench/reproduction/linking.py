@@ -73,12 +73,12 @@ def link_with_trackpy(frames: Numbered, diameter: float) -> Trajectories:
 
 @contextmanager
 def quiet_trackpy() -> Iterator[None]:
-    """Within, trackpy says nothing, and pandas nothing of how trackpy uses it."""
+    """Within, trackpy says nothing of what it finds or not, nor pandas of how trackpy uses it."""
     import trackpy
 
     trackpy.quiet()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore")
         yield
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.reproduction.evaluation import PAPER_BEST_MSE_PX2
 from bench.reproduction.figures import clip_title
+from bench.reproduction.folder import defined
 from bench.reproduction.sections import (
     NOT_GIVEN,
     Picture,
@@ -162,11 +163,10 @@ def speed(found: Results) -> Section:
         compared=compared,
         command="python -m bench.engines speed",
         word=f"Measured on {one['machine']}{', ' + one['gpu'] if one['gpu'] else ''}, while other "
-        "programs may have run; the paper's machines are an i3-2328M and an RTX 2060 Super of "
-        "2011 and 2019. Where no trained weights are at hand they are random: the network takes as "
-        "long, but what it finds is random, and with it the tracker's part of the time. The paper "
-        "does not say its input size; 416 x 416 is the usual one. Careful figures are in "
-        "docs/performance.md.",
+        "programs may have run; the paper's machines are an i3-2328M and an RTX 2060 Super. Where "
+        "no trained weights are at hand they are random: the network takes as long, but what it "
+        "finds is random, and with it the tracker's part of the time. The paper does not say its "
+        "input size; 416 x 416 is the usual one. Careful figures are in docs/performance.md.",
         tables=[
             Table(
                 caption="Frames a second; end to end without the annotated video",
@@ -190,8 +190,8 @@ def flock(found: Results) -> Section:
         for row in one["radii"]
     ]  # fmt: skip
     quantities = [
-        [row["label"], number(row["value"]), number(row["error"]), number(row["null"]),
-         row["reason"] or row["null_model"]]
+        [row["label"], number(row["value"]), number(row["error"]),
+         number(row["null"]) if row["null_model"] else "", row["reason"] or row["null_model"]]
         for row in one["quantities"]
     ]  # fmt: skip
     return Section(
@@ -208,10 +208,7 @@ def flock(found: Results) -> Section:
              number(main["share_shuffled"])),
         ],
         command="python -m droptrack.analyse flock DIR/trajectories.csv --out DIR",
-        word="The paper's R is 30 px, but it does not say how large its droplets are in px; so R "
-        "is given in diameters here. A share of 47 % alone says little: a flow that carries "
-        "all droplets the same way aligns strangers, too, as the shuffled share shows. Which "
-        "R is taken changes the share as much.",
+        word=_word_on_flocks(one),
         pictures=[
             Picture(name="neighbourhood", folder="flock",
                     caption="A droplet's neighbourhood; arrows: headings."),
@@ -237,6 +234,23 @@ def flock(found: Results) -> Section:
     )  # fmt: skip
 
 
+def _word_on_flocks(one: Mapping[str, Any]) -> str:
+    shares = [row["ours"]["share"] for row in one["radii"] if defined(row["ours"]["share"])]
+    swept = [row["radius_diameters"] for row in one["radii"]]
+    words = [
+        "The paper's R is 30 px, but it does not say how large its droplets are in px; so R is "
+        "given in diameters here. A flow that carries all droplets the same way aligns strangers, "
+        "too: with the headings shuffled among the droplets of a frame the share is still "
+        f"{number(one['main']['share_shuffled'])}, so that a share alone says little."
+    ]
+    if shares:
+        words.append(
+            f"Over R from {number(min(swept))} to {number(max(swept))} diameters the share is "
+            f"{number(min(shares))} to {number(max(shares))}."
+        )
+    return " ".join(words)
+
+
 def alternatives(found: Results) -> Section:
     """What one would pick instead, in the same table."""
     methods = found["evaluation"]["methods"]
@@ -257,7 +271,7 @@ def alternatives(found: Results) -> Section:
         of_paper="not in the paper",
         text="The same videos, clean and degraded (out of focus, light that falls to half, half "
         "the contrast, noise), by other methods. Settings of thresholds, watershed and "
-        "trackpy.locate are those of a few that find most on six frames by the ground truth: "
+        "trackpy.locate are those of a few that find most on four frames by the ground truth: "
         "more than a user can do. MOTA, IDF1 and HOTA by TrackEval.",
         compared=[],
         command="make reproduce",

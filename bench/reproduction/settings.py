@@ -1,4 +1,4 @@
-"""How large a reproduction is: the paper's size, or one that fits into half an hour."""
+"""How large a reproduction is: the paper's size, or a small one."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -61,10 +61,11 @@ SMALL = Settings(
     scale="small",
     images=100,
     valid=100,
+    sine_frames=100,  # trackpy's locator takes seconds for each
     tiny=Recipe(
         cfg="yolov3-tiny",
         draw="tiny",
-        iterations=300,
+        iterations=200,
         window=(224, 224),
         map_every=100,
         map_images=50,

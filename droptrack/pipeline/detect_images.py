@@ -12,7 +12,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
-import cv2
 import numpy as np
 import PIL.Image
 
@@ -30,6 +29,8 @@ from droptrack.data.frames import Frame
 from droptrack.data.region import Region
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
+from droptrack.data.sources.image_files import write_image_file
+from droptrack.data.sources.opencv_names import printable
 from droptrack.data.video import IMAGE_SUFFIXES, ReadOptions, Video, image_files
 from droptrack.detection.normalisation import normalisation_for
 from droptrack.errors import DroptrackError
@@ -226,8 +227,7 @@ class _Results:
         n = self._names[image.stem]
         path = folder / f"{image.stem}{f'-{n}' if n > 1 else ''}.jpg"
         names = self._classes.names if self._classes else ()
-        if not cv2.imwrite(str(path), draw_boxes(image.frame, found, names)):
-            raise DroptrackError(f"{path}: cannot be written; is the disk full?")
+        write_image_file(path, draw_boxes(image.frame, found, names))
 
 
 def read_images(sources: tuple[str, ...], reading: ReadOptions) -> Iterator[Image]:
@@ -279,7 +279,7 @@ def _image_size(path: Path) -> tuple[int, int] | None:
     try:
         with PIL.Image.open(path) as image:
             return image.size
-    except OSError:
+    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError):
         return None
 
 
@@ -306,7 +306,7 @@ def _contours(
     seen = np.isfinite(measured.outlines[order]).all(axis=(1, 2))
     some = order[seen]
     return Contours(
-        image=str(image.source),
+        image=printable(str(image.source)),
         frame=image.number,
         size=(image.frame.shape[1], image.frame.shape[0]),
         ids=n_before + np.flatnonzero(seen),

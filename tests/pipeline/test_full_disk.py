@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+from dataclasses import replace
 from io import FileIO
 from pathlib import Path
 from typing import Any
@@ -109,9 +110,9 @@ def test_a_table_ends_with_a_whole_row(tmp_path: Path, room: int) -> None:
     writer._file = full
     n_fit = room // len(whole.splitlines()[-1] + b"\n")
     for frame in range(1, n_fit + 1):
-        writer.write(Trajectories(**{**rows._arrays(), "frame": np.array([frame])}))
+        writer.write(replace(rows, frame=np.array([frame])))
     with pytest.raises(DroptrackError, match=r"t\.csv: cannot be written: No space left"):
-        writer.write(Trajectories(**{**rows._arrays(), "frame": np.array([9])}))
+        writer.write(replace(rows, frame=np.array([9])))
     writer.close()
     n_rows = len(read_trajectories(path)[0])
     assert n_rows == 1 + n_fit

@@ -20,6 +20,7 @@ import tifffile
 
 from droptrack.data.files import reading
 from droptrack.data.sources.image_files import MAX_PIXELS, decode_image
+from droptrack.data.sources.opencv_names import opencv_name, without_log
 from droptrack.data.sources.source import Image, ReadOptions, Source, spread
 from droptrack.data.sources.tiff_pages import as_bgr, is_packed, unpack_page
 from droptrack.errors import DroptrackError
@@ -177,7 +178,8 @@ class TiffStack:
             raise DroptrackError(
                 f"{self.path}: is compressed as {first.compression.name}: pip install imagecodecs"
             )
-        ok, images = cv2.imreadmulti(str(self.path), index, 1, flags=cv2.IMREAD_UNCHANGED)
+        with opencv_name(self.path) as name, without_log():
+            ok, images = cv2.imreadmulti(name, index, 1, flags=cv2.IMREAD_UNCHANGED)
         image = np.asarray(images[0]) if ok else None
         return image[..., ::-1] if image is not None and image.ndim == 3 else image
 

@@ -110,7 +110,8 @@ def to_pixels(image: Image, levels: Levels) -> NDArray[np.uint8]:
         every = np.arange(np.iinfo(image.dtype).max + 1, dtype=np.float64)
         return np.asarray(_scaled(every, black, white, whole=True)[image])
     whole = image.dtype.kind in "iu"
-    return _scaled(np.nan_to_num(np.asarray(image, np.float64)), black, white, whole=whole)
+    values = np.asarray(image, np.float64)
+    return _scaled(np.nan_to_num(values, posinf=white, neginf=black), black, white, whole=whole)
 
 
 def _scaled(

@@ -222,7 +222,7 @@ def _image_size(path: Path) -> tuple[int, int] | None:
     try:
         with PIL.Image.open(path) as image:
             return image.size
-    except OSError:
+    except (OSError, ValueError, SyntaxError, PIL.Image.DecompressionBombError):
         return None
 
 

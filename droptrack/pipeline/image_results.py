@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-import cv2
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats, Rows
@@ -17,9 +16,10 @@ from droptrack.data.formats.contours import Contours, ContourWriter
 from droptrack.data.frames import Frame
 from droptrack.data.region import Region
 from droptrack.data.report import Report, Value
+from droptrack.data.sources.image_files import write_image_file
+from droptrack.data.sources.opencv_names import printable
 from droptrack.data.units import Units
 from droptrack.data.video import IMAGE_SUFFIXES
-from droptrack.errors import DroptrackError
 from droptrack.measurement.droplets import Measured, at_edge, measure_droplets
 from droptrack.measurement.shapes import AREA, AT_EDGE, DIAMETER
 from droptrack.measurement.shapes import COLUMNS as SHAPE
@@ -172,8 +172,7 @@ class ImageResults:
         drawn = draw_boxes(image.frame, found, names)
         if image.um_per_px is not None:
             draw_scale_bar(drawn, image.um_per_px)
-        if not cv2.imwrite(str(path), drawn):
-            raise DroptrackError(f"{path}: cannot be written; is the disk full?")
+        write_image_file(path, drawn)
 
 
 def _contours(
@@ -183,7 +182,7 @@ def _contours(
     seen = np.isfinite(measured.outlines[order]).all(axis=(1, 2))
     some = order[seen]
     return Contours(
-        image=str(image.source),
+        image=printable(str(image.source)),
         frame=image.number,
         size=(image.frame.shape[1], image.frame.shape[0]),
         ids=n_before + np.flatnonzero(seen),

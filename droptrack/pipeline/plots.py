@@ -7,6 +7,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from droptrack.data.files import replacing
+
 mpl.rcParams["savefig.dpi"] = 130
 
 
@@ -18,4 +20,5 @@ def plot_sizes(path: Path, diameters: Sequence[float], unit: str) -> None:
     mean, deviation = np.mean(diameters), np.std(diameters)
     axes.set(xlabel=f"diameter / {unit}", ylabel="droplets")
     axes.set_title(f"{len(diameters)} droplets, {mean:.4g} ± {deviation:.2g} {unit}")
-    figure.savefig(path)
+    with replacing(path) as partial:
+        figure.savefig(partial)

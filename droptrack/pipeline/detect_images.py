@@ -198,7 +198,7 @@ class _Results:
         self._class_ids += found.class_ids[~cut].tolist()
         self._rows.append(
             {
-                "image": str(image.source),
+                "image": printable(str(image.source)),
                 "frame": image.number,
                 "n_droplets": len(found),
                 "n_at_edge": int(cut.sum()),
@@ -332,7 +332,8 @@ def _table(
         x, y = (f"{value:.6f}" for value in measured.centres[i].tolist())
         shape = [f"{value:.6f}" for value in measured.shapes[i, :AT_EDGE].tolist()]
         score, class_id = f"{found.scores[i]:.6f}", int(found.class_ids[i])
-        row = [image.source, image.number, x, y, w, h, score, class_id, int(cut[i])]
+        source = printable(str(image.source))
+        row = [source, image.number, x, y, w, h, score, class_id, int(cut[i])]
         named = [classes.name_of(class_id)] if classes is not None else []
         yield [*row, box_x, box_y, int(measured.measured[i]), *shape, *named]
 

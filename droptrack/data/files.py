@@ -52,7 +52,9 @@ def reading(path: Path, kind: str = "text") -> Iterator[None]:
     except FileNotFoundError:
         raise DroptrackError(f"{path}: no such file") from None
     except UnicodeDecodeError:
-        raise DroptrackError(f"{path}: is no text in UTF-8; save it as UTF-8") from None
+        raise DroptrackError(
+            f"{path}: cannot be read as {kind}: it is no UTF-8; save it as UTF-8"
+        ) from None
     except (OSError, ValueError) as error:
         raise DroptrackError(f"{path}: cannot be read as {kind}: {error}") from None
 

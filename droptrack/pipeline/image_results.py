@@ -121,7 +121,7 @@ class ImageResults:
         self.diameters += diameters.tolist()
         self._class_ids += found.class_ids[~cut].tolist()
         row: dict[str, Value] = {
-            "image": str(image.source),
+            "image": printable(str(image.source)),
             "frame": image.number,
             "n_droplets": len(found),
             "n_at_edge": int(cut.sum()),
@@ -208,7 +208,7 @@ def _table(
     for i in order.tolist():
         x, y, w, h, box_x, box_y = _text(places[i])
         score, class_id = f"{found.scores[i]:.6f}", int(found.class_ids[i])
-        row = [image.source, image.number, x, y, w, h, score, class_id, int(cut[i])]
+        row = [printable(str(image.source)), image.number, x, y, w, h, score, class_id, int(cut[i])]
         sizes = [*_text(shapes[i]), *_text(in_um[i])]
         named = [content.classes.name_of(class_id)] if content.classes is not None else []
         yield [*row, box_x, box_y, int(measured.measured[i]), *sizes, *named]

@@ -37,7 +37,9 @@ def test_a_key_given_twice_is_refused(tmp_path: Path) -> None:
 
 def test_text_of_another_encoding_is_said_to_be(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("0 0.5 0.5 0.1 0.1\n", encoding="utf-16")
-    with pytest.raises(DroptrackError, match=r"a\.txt: is no text in UTF-8; save it as UTF-8"):
+    with pytest.raises(
+        DroptrackError, match=r"a\.txt: cannot be read as text: it is no UTF-8; save it as UTF-8"
+    ):
         read_labels(tmp_path / "a.jpg")
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -127,6 +128,38 @@ def test_images_of_one_name_are_all_annotated(tmp_path: Path) -> None:
     assert code == 0, said
     names = sorted(path.name for path in (tmp_path / "out" / "annotated").iterdir())
     assert names == ["same-2.jpg", "same.jpg"]
+
+
+@pytest.mark.parametrize("name", [b"tr\xf6pfchen.png", b"two\nlines.png"])
+def test_an_image_with_any_name_has_its_droplets(tmp_path: Path, name: bytes) -> None:
+    """Of a name that is no UTF-8, OpenCV crashed as it wrote the annotated image."""
+    path = Path(os.fsdecode(bytes(tmp_path) + b"/" + name))
+    image_of(tmp_path / "a.png", [(100, 120, 30)], (300, 240))
+    try:
+        (tmp_path / "a.png").rename(path)
+    except OSError:
+        pytest.skip("this file system has names in UTF-8 only")
+    code, said = detect(str(path), "--out", str(tmp_path / "out"))
+    assert code == 0, said
+    (row,) = rows_of(tmp_path / "out")
+    assert row["image"] == str(path).encode("utf-8", "backslashreplace").decode().replace(
+        "\n", r"\n"
+    )
+    assert (tmp_path / "out" / "annotated" / f"{path.stem}.jpg").is_file()
+
+
+def test_all_black_white_and_tiny_images_have_no_droplets(tmp_path: Path) -> None:
+    """Nor do they stop anything: one grey, a single bright pixel, one of 10 px."""
+    for name, image in (
+        ("black", np.zeros((240, 480), np.uint8)),
+        ("white", np.full((240, 480), 255, np.uint8)),
+        ("tiny", np.full((10, 10), 128, np.uint8)),
+        ("line", np.zeros((1, 40), np.uint8)),
+    ):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image)
+    code, said = detect(str(tmp_path), "--out", str(tmp_path / "out"))
+    assert code == 0, said
+    assert rows_of(tmp_path / "out") == []
 
 
 def test_without_droplets_or_images_it_is_said(tmp_path: Path) -> None:

@@ -19,6 +19,8 @@ MICROSCOPY_SUFFIXES = (".nd2", ".czi", ".lif")
 BIOFORMATS = (
     "save it as OME-TIFF with Fiji (File > Import > Bio-Formats), or bfconvert IN OUT.ome.tif"
 )
+# times that a file may be smaller than its images, and bytes of these that are no matter
+MAX_SHRUNK, MIN_SHRUNK = 100, 10_000_000
 # where ZEN writes metres a pixel, seconds a frame, and bits of a level
 CZI_PLACES = (
     ".//Scaling/Items/Distance[@Id='X']/Value",
@@ -103,6 +105,9 @@ def _open_czi(path: Path, options: ReadOptions) -> Source:
 
     with czifile.CziFile(path) as file:
         axes, shape = str(file.axes), tuple(file.shape)
+        n_bytes = prod(shape) * np.dtype(file.dtype).itemsize
+        if n_bytes > MAX_SHRUNK * path.stat().st_size + MIN_SHRUNK:
+            raise DroptrackError(f"{path}: claims {n_bytes} bytes of images; is it damaged?")
         if "0" in axes:  # its name of samples; S are scenes
             axes = axes.replace("S", "P").replace("0", "S")
         source = _from_array(path, axes, shape, file.asarray, options)

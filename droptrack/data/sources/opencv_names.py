@@ -6,9 +6,11 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 
+SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
 CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # a new line, for one
 
 
@@ -41,12 +43,13 @@ def opencv_name(path: Path) -> Iterator[str]:
 @contextmanager
 def without_log() -> Iterator[None]:
     """Let OpenCV print nothing on stderr; what failed is said by errors."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    log: Any = getattr(cv2.utils, "logging", cv2)  # where OpenCV 4.10 has it
+    level = log.getLogLevel()
+    log.setLogLevel(SILENT)
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        log.setLogLevel(level)
 
 
 def printable(text: str) -> str:

@@ -149,9 +149,11 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
     tifffile.imwrite(folder / "plain.tif", stack, photometric="minisblack")
     tifffile.imwrite(folder / "imagej.tif", stack, imagej=True)
     tifffile.imwrite(folder / "z.ome.tif", stack, ome=True, compression="zlib")
+    tifffile.imwrite(folder / "zip.tif", stack, compression="zlib", photometric="minisblack")
     cv2.imwrite(str(folder / "image.png"), stack[0])
     cv2.imwrite(str(folder / "image.jpg"), stack[0].astype(np.uint8))
     write_levels(folder / "v.avi", "MJPG")
+    write_levels(folder / "v.mp4", "mp4v")
     (folder / "v.mraw").write_bytes(stack.tobytes())
     (folder / "v.cih").write_text(
         "Total Frame : 3\nImage Width : 30\nImage Height : 20\nColor Bit : 16\n"
@@ -159,10 +161,13 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
     (folder / "v.cine").write_bytes(cine(stack))
     for name, (content, _) in files.items():
         (folder / name).write_bytes(content)
-    names = ("plain.tif", "imagej.tif", "z.ome.tif", "image.png", "image.jpg", "v.avi", "v.cine")
+    names = (
+        *("plain.tif", "zip.tif", "imagej.tif", "z.ome.tif", "image.png", "image.jpg"),
+        *("v.avi", "v.mp4", "v.cine", "v.cih"),
+    )
     return {
         **{name: (folder / name, read) for name, (_, read) in files.items()},
-        **{name: (folder / name, _all_frames) for name in (*names, "v.cih")},
+        **{name: (folder / name, _all_frames) for name in names},
     }
 
 

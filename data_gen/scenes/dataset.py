@@ -174,7 +174,7 @@ def _claim(folder: Path, recipe: Recipe) -> None:
     else:
         folder.mkdir(parents=True, exist_ok=True)
         values = {FILE_KEYS.get(key, key): value for key, value in asdict(recipe).items()}
-        manifest.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        write_text(manifest, json.dumps(values, indent=1) + "\n")
 
 
 def _read_manifest(path: Path) -> Recipe:

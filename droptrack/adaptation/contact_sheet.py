@@ -11,7 +11,7 @@ from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.darknet_dataset import DataSet, read_ground_truth, read_image, read_scenes
 from droptrack.data.frames import Frame
 from droptrack.data.samples import spread
-from droptrack.errors import DroptrackError
+from droptrack.data.sources.image_files import write_image_file
 
 COLUMNS = 4
 TILE_PX = 400  # wide
@@ -46,8 +46,7 @@ def write_contact_sheet(
     rows.append(
         _row("kept back, after", [_with_boxes(image, new, GREEN) for image, _, new in some])
     )
-    if not cv2.imwrite(str(path), np.vstack(rows)):
-        raise DroptrackError(f"{path}: cannot be written; is the disk full?")
+    write_image_file(path, np.vstack(rows))
 
 
 def _labelled(path: Path) -> Pixels:

@@ -160,6 +160,8 @@ def _read_options(path: Path) -> dict[str, str]:
         key, equals, value = line.partition("=")
         if not equals:
             raise DroptrackError(f"{path}:{number}: expected key = value, found {line!r}")
+        if key.strip() in options:
+            raise DroptrackError(f"{path}:{number}: {key.strip()} is given twice")
         options[key.strip()] = value.strip()
     return options
 

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from droptrack.errors import DroptrackError
@@ -13,7 +13,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """A path to write to, which takes the place of `path` once the block has ended well.
 
     Until then `path` is what it was; of a block that fails nothing is left. The suffix is kept,
-    since some writers choose the format by it.
+    since some writers choose the format by it. Raises DroptrackError where that cannot be written.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -29,6 +29,10 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield partial
         os.replace(partial, path)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+        raise DroptrackError(f"{path}: cannot be written: {error.strerror or error}") from None
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
@@ -47,7 +51,11 @@ def reading(path: Path, kind: str = "text") -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise DroptrackError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # UnicodeDecodeError, too
+    except UnicodeDecodeError:
+        raise DroptrackError(
+            f"{path}: cannot be read as {kind}: it is no UTF-8; save it as UTF-8"
+        ) from None
+    except (OSError, ValueError) as error:
         raise DroptrackError(f"{path}: cannot be read as {kind}: {error}") from None
 
 

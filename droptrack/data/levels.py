@@ -8,6 +8,7 @@ levels can be compared.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,8 @@ def levels_in(images: Sequence[Image]) -> Levels:
         return EIGHT_BITS
     few = [_finite(image.ravel()[:: max(1, image.size // MAX_COUNTED)]) for image in images]
     values = np.concatenate(few)
+    if values.dtype == np.float16:  # in which NumPy 2.0 cannot count them
+        values = values.astype(np.float32)
     if not len(values):
         return EIGHT_BITS
     limits = [(all_.min(), all_.max()) for one in images if len(all_ := _finite(one.ravel()))]
@@ -107,10 +110,16 @@ def to_pixels(image: Image, levels: Levels) -> NDArray[np.uint8]:
         return np.asarray(image, np.uint8)
     black, white = levels.black, levels.white
     if image.dtype in (np.uint8, np.uint16):
-        every = np.arange(np.iinfo(image.dtype).max + 1, dtype=np.float64)
-        return np.asarray(_scaled(every, black, white, whole=True)[image])
+        return np.asarray(_every_level(np.iinfo(image.dtype).max, black, white)[image])
     whole = image.dtype.kind in "iu"
-    return _scaled(np.nan_to_num(np.asarray(image, np.float64)), black, white, whole=whole)
+    values = np.asarray(image, np.float64)
+    return _scaled(np.nan_to_num(values, posinf=white, neginf=black), black, white, whole=whole)
+
+
+@lru_cache(maxsize=4)
+def _every_level(highest: int, black: float, white: float) -> NDArray[np.uint8]:
+    """What each level from 0 to the highest becomes: a table, the same for all frames."""
+    return _scaled(np.arange(highest + 1, dtype=np.float64), black, white, whole=True)
 
 
 def _scaled(

@@ -18,7 +18,7 @@ import numpy as np
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections, labels
-from droptrack.data.files import reading
+from droptrack.data.files import read_text, reading
 from droptrack.errors import DroptrackError
 
 N_COLUMNS = 7
@@ -59,8 +59,7 @@ def read_frame_list(path: Path) -> FrameList:
 
     A range is written ``12-80``. Raises DroptrackError naming what is neither.
     """
-    with reading(path):
-        words = path.read_text(encoding="utf-8").split()
+    words = read_text(path).split()
     ranges = []
     for word in words:
         ends = word.split("-")

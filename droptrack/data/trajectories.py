@@ -8,15 +8,17 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
+from io import RawIOBase
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.files import reading
+from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 COLUMNS = ("frame", "track_id", "x", "y", "w", "h", "score", "observed")
 BOX_CENTRE = ("box_x", "box_y")  # further columns of ours
+MAX_WHOLE = 2**53  # above, whole numbers are not exact as fractions
 TEXT, WHOLE = ("class_name",), ("class_id",)  # further columns of text, and of whole numbers
 
 
@@ -152,23 +155,23 @@ def sorted_trajectories(
 class TrajectoryWriter:
     """Writes a trajectories file row by row, so that what was computed is kept whatever happens.
 
-    `extra` names columns that follow the fixed ones.
+    `extra` names columns that follow the fixed ones. Raises DroptrackError where nothing can be
+    written, as on a full disk; what was written until then stays, without half a row.
     """
 
     def __init__(self, path: Path, about: Mapping[str, object], extra: Iterable[str] = ()) -> None:
         self.path = path
         self._extra = tuple(extra)
         try:
-            self._file: TextIO = path.open("w", newline="", encoding="utf-8")
+            self._file: RawIOBase = path.open("wb", buffering=0)
         except OSError as error:
             raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
-        lines = [f"# {key}: {value}" for key, value in about.items()]
+        self._n_bytes = 0
+        lines = [f"# {key}: {printable(str(value))}" for key, value in about.items()]
         try:
-            self._file.writelines(f"{line}\n" for line in (*lines, ",".join(COLUMNS + self._extra)))
-            self._file.flush()
-        except OSError:
-            with suppress(OSError):  # which it raises again
-                self._file.close()
+            self._append("".join(f"{line}\n" for line in (*lines, ",".join(COLUMNS + self._extra))))
+        except DroptrackError:
+            self._file.close()
             raise
 
     def write(self, rows: Trajectories, extra: Iterable[NDArray[Any]] = ()) -> None:
@@ -188,8 +191,20 @@ class TrajectoryWriter:
         ]
         line = ",".join(kind_of(column) for column in columns) + "\n"
         values = zip(*map(as_written, columns), strict=True)
-        self._file.writelines([line % row for row in values])
-        self._file.flush()
+        self._append("".join([line % row for row in values]))
+
+    def _append(self, text: str) -> None:
+        """Write whole lines, or none of them."""
+        data = memoryview(text.encode())
+        try:
+            done = 0
+            while done < len(data):
+                done += self._file.write(data[done:]) or 0
+        except OSError as error:
+            with suppress(OSError):  # of what is no file
+                self._file.truncate(self._n_bytes)
+            raise DroptrackError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._n_bytes += len(data)
 
     def close(self) -> None:
         """Finish the file."""
@@ -231,6 +246,7 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     but for those of TEXT. Raises DroptrackError naming the line that is wrong.
     """
     about, column = _read_table(path)
+    _check(path, column)
     centre = [column.pop(name, column[name[-1]]) for name in BOX_CENTRE]
     try:
         rows = sorted_trajectories(
@@ -252,6 +268,25 @@ def read_trajectories(path: Path) -> tuple[Trajectories, dict[str, str]]:
     return rows, about
 
 
+def _check(path: Path, column: Mapping[str, NDArray[Any]]) -> None:
+    """Raise DroptrackError where numbers cannot be what their columns are."""
+    sides = np.minimum(column["w"], column["h"])
+    for problem, bad in (
+        ("frame should be a whole number from 0", ~_whole(column["frame"], 0)),
+        ("track_id should be a whole number", ~_whole(column["track_id"], -MAX_WHOLE)),
+        ("observed should be 0 or 1", ~np.isin(column["observed"], (0, 1))),
+        ("w and h should not be below 0", sides < 0),
+    ):
+        if bad.any():
+            row = int(np.flatnonzero(bad)[0])
+            raise DroptrackError(f"{path}: row {row + 1} after the columns' names: {problem}")
+
+
+def _whole(values: NDArray[Any], lowest: int) -> Bools:
+    """Which of the values (M,) are whole numbers from the lowest on, small enough to be exact."""
+    return np.asarray((values >= lowest) & (values <= MAX_WHOLE) & (values == np.floor(values)))
+
+
 def _read_table(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
     """What ``#`` lines say, and the columns (M,) by their names.
 
@@ -269,6 +304,8 @@ def _read_table(path: Path) -> tuple[dict[str, str], dict[str, NDArray[Any]]]:
         header = tuple(line.rstrip("\n").split(","))
         if header[: len(COLUMNS)] != COLUMNS:
             raise DroptrackError(f"{path}: should have the columns {','.join(COLUMNS)}")
+        if len(set(header)) < len(header):
+            raise DroptrackError(f"{path}: has two columns of one name")
         try:
             return about, _columns(path, header, file)
         except UnicodeDecodeError:

@@ -10,6 +10,7 @@ from itertools import chain, islice
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from droptrack.data.frames import Frame, as_frame
 from droptrack.data.levels import EIGHT_BITS, Levels, given_levels, levels_in, levels_of_bits
@@ -80,6 +81,7 @@ class Video:
         self.n_absent = opened.n_absent
         self.pixel_size_um = opened.pixel_size_um
         self.notes = opened.notes
+        self._times = opened.times
         self._samples = opened.samples
 
     def samples(self) -> list[Frame]:
@@ -93,6 +95,11 @@ class Video:
         """Every frame, once."""
         for _, frame in self.numbered():
             yield frame
+
+    @property
+    def doubt(self) -> str:
+        """What the frames so far make one doubt: that they come at a steady rate; else empty."""
+        return self._times.doubt() if self._times is not None else ""
 
     @property
     def n_lost(self) -> int:
@@ -116,7 +123,7 @@ class Video:
         assert self._first is not None
         if options.levels is not None:
             return given_levels(*options.levels)
-        if self._first[1].dtype.itemsize == 1:
+        if self._first[1].dtype in (np.uint8, np.bool_):
             return EIGHT_BITS
         if opened.bits:
             return levels_of_bits(opened.bits)
@@ -142,11 +149,15 @@ class Video:
 
 def _open(source: str, options: ReadOptions, outages: Outages) -> tuple[Source, bool]:
     """What a name stands for, and whether it is live."""
+    if not source:
+        raise DroptrackError("the name of the video is empty")
     path = Path(source)
     if options.reconnect_s and path.exists():
         raise DroptrackError(f"{source}: is no live stream; leave out --reconnect")
     if path.is_dir():
         return open_sequence(path, "*", options), False
+    if path.is_fifo() or path.is_socket():
+        raise DroptrackError(f"{source}: is a pipe, which cannot be read twice; save it first")
     if path.exists():
         suffix = path.suffix.lower()
         if suffix in TIFF_SUFFIXES:
@@ -168,7 +179,8 @@ def _open(source: str, options: ReadOptions, outages: Outages) -> tuple[Source, 
     if not is_camera and "://" not in source:
         if any(sign in path.name for sign in "*?[") and path.parent.is_dir():
             return open_sequence(path.parent, path.name, options), False
-        raise DroptrackError(f"{source}: no such video, image folder or camera")
+        hint = "; write out what ~ stands for" if source.startswith("~") else ""
+        raise DroptrackError(f"{source}: no such video, image folder or camera{hint}")
     return open_stream(source, options, outages)
 
 

@@ -58,6 +58,8 @@ class Layer:
                 raise DroptrackError(f"line {self.line}: [{self.kind}] needs {key}=")
             return default
         try:
+            if not text.isascii() or "_" in text:  # which Python takes for a part of a number
+                raise ValueError
             values = tuple(float(part) for part in text.split(",") if part.strip())
         except ValueError:
             raise self._bad(key, "a number, or several with commas") from None

@@ -8,6 +8,7 @@ boxes there are, and cx, cy, w, h, score, class of each, as exact as they are.
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Self
 
@@ -36,10 +37,15 @@ class DetectionLog:
             self._file: BinaryIO = self.path.open("r+b" if end else "w+b")
         except OSError as error:
             raise DroptrackError(f"{self.path}: cannot be written: {error.strerror}") from None
-        self._file.truncate(end)  # half a line, maybe
-        self._file.seek(end)
-        if not end:
-            self._file.write(json.dumps(dict(made)).encode() + b"\n")
+        try:
+            if end:
+                self._file.truncate(end)  # half a line, maybe
+                self._file.seek(end)
+            else:
+                self._write(json.dumps(dict(made)))
+        except DroptrackError:
+            self.close()
+            raise
 
     @property
     def n_frames(self) -> int:
@@ -66,8 +72,20 @@ class DetectionLog:
         rows = np.column_stack([found.boxes, found.scores, found.class_ids]).ravel().tolist()
         self._places[number] = self._file.tell()
         line = " ".join([str(number), str(len(found)), *map(repr, rows)])
-        self._file.write(line.encode() + b"\n")
-        self._file.flush()
+        self._write(line)
+
+    def _write(self, line: str) -> None:
+        """Append a line, at once."""
+        try:
+            self._file.write(line.encode() + b"\n")
+            self._file.flush()
+        except OSError as error:
+            raise DroptrackError(f"{self.path}: cannot be written: {error.strerror}") from None
+
+    def close(self) -> None:
+        """Close it, and keep it."""
+        with suppress(OSError):  # said when it came
+            self._file.close()
 
     def remove(self) -> None:
         """Delete it, since the run is complete."""
@@ -78,7 +96,7 @@ class DetectionLog:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        self.close()
 
     def _read(self, made: Mapping[str, Value]) -> int:
         """Find the lines of an earlier run; returns where the last whole one ends."""

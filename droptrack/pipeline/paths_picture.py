@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from droptrack.data.files import replacing
 from droptrack.pipeline.drawing import colour_of
 
 AXES_PX, MAX_HEIGHT_PX = 1200, 4000  # of the frame's picture
@@ -47,7 +48,8 @@ def draw_paths(
     middle = LEFT + wide / 2
     called = "droplet" if len(lines) == 1 else "droplets"
     draw.text((middle, TOP - 12), f"{len(lines)} {called}", BLACK, title, anchor="ms")
-    picture.save(path, compress_level=3)
+    with replacing(path) as partial:
+        picture.save(partial, compress_level=3)
 
 
 def _label_axes(

@@ -152,6 +152,7 @@ def run(
     settings = {**about, **_settings(config, opened)}
     seconds = time.perf_counter() - began
     odd = doubts(results.paths.each(), results.n_frames, network, opened.network.scale)
+    odd += [opened.source.doubt] * bool(opened.source.doubt)
     report = summarise(results, settings, size, n_missing, seconds, odd)
     with whole():
         write_report(folder, report, results.paths, size)

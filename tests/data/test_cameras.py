@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from droptrack.data.video import ReadOptions, Video
+from droptrack.data.video import ReadOptions, Video, VideoInfo
 from droptrack.errors import DroptrackError
 
 N, HEIGHT, WIDTH = 3, 16, 20
@@ -206,6 +206,22 @@ def test_a_microscopes_channels_units_and_bits_are_taken(
     np.testing.assert_array_equal(np.array(list(video))[..., 0], EIGHT)
     other = Video(str(tmp_path / "v.nd2"), ReadOptions(channel=1))
     np.testing.assert_array_equal(np.array(list(other))[..., 0], 255 - EIGHT)
+
+
+def test_zeiss_files_have_times_channels_colours_and_pixels() -> None:
+    """`reference/microscopy/make.py` wrote them with Zeiss' own library."""
+    pytest.importorskip("czifile")
+    folder = Path(__file__).parents[1] / "reference" / "microscopy"
+    for channel in (0, 1):
+        options = ReadOptions(channel=channel, levels=(0, 4095))
+        video = Video(str(folder / "grey.czi"), options)
+        assert video.info == VideoInfo(16, 8, 25.0, 3)
+        assert video.pixel_size_um == pytest.approx(0.65)
+        levels = [np.unique(frame).tolist() for frame in video]
+        assert levels == [[100 * channel + 10 * t + 1] for t in range(3)]
+    assert "has 2 channels, of which 0 is read" in Video(str(folder / "grey.czi")).notes[0]
+    colours = [frame[3, 5].tolist() for frame in Video(str(folder / "colour.czi"))]
+    assert colours == [[10, 20, 30], [11, 21, 31]]
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,20 @@ def test_labels_that_are_none_are_refused_with_their_line(
         read_labels(tmp_path / "a.jpg")
 
 
+def test_a_key_given_twice_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "obj.data").write_text("classes = 1\nclasses = 2\n")
+    with pytest.raises(DroptrackError, match=r"obj\.data:2: classes is given twice"):
+        read_data_file(tmp_path / "obj.data")
+
+
+def test_text_of_another_encoding_is_said_to_be(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("0 0.5 0.5 0.1 0.1\n", encoding="utf-16")
+    with pytest.raises(
+        DroptrackError, match=r"a\.txt: cannot be read as text: it is no UTF-8; save it as UTF-8"
+    ):
+        read_labels(tmp_path / "a.jpg")
+
+
 def test_a_mark_before_the_text_is_no_part_of_it(tmp_path: Path) -> None:
     """Notepad's, before UTF-8."""
     mark = b"\xef\xbb\xbf"

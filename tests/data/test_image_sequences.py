@@ -1,5 +1,6 @@
 """Folders of images as people have them."""
 
+import os
 import zlib
 from pathlib import Path
 
@@ -31,6 +32,39 @@ def test_hidden_files_are_no_frames(tmp_path: Path) -> None:
     (tmp_path / "._frame_1.png").write_bytes(b"\0\5\26\7")
     (tmp_path / "Thumbs.db").write_bytes(b"thumbs")
     assert found(tmp_path) == [(0, 0), (1, 1)]
+
+
+def test_what_is_called_like_an_image_may_be_a_folder_or_a_pipe(tmp_path: Path) -> None:
+    make(tmp_path, "frame_1.png", "frame_2.png")
+    (tmp_path / "frame_3.png").mkdir()
+    os.mkfifo(tmp_path / "frame_4.png")
+    assert found(tmp_path) == [(0, 0), (1, 1)]
+
+
+def test_an_image_that_is_away_ends_the_video_with_its_name(tmp_path: Path) -> None:
+    make(tmp_path, "frame_1.png", "frame_2.png")
+    (tmp_path / "frame_3.png").symlink_to("gone")
+    frames = Video(str(tmp_path)).numbered()
+    assert [number for number, _ in (next(frames), next(frames))] == [0, 1]
+    with pytest.raises(DroptrackError, match=r"frame_3\.png: no such file"):
+        next(frames)
+
+
+@pytest.mark.parametrize("suffix", ["png", "webp"])
+def test_an_animation_is_not_taken_for_one_image(tmp_path: Path, suffix: str) -> None:
+    images = [Image.fromarray(np.full((8, 12), 50 * t, np.uint8)) for t in range(3)]
+    path = tmp_path / f"a.{suffix}"
+    images[0].save(path, save_all=True, append_images=images[1:], lossless=True)
+    with pytest.raises(DroptrackError, match="is an animation of 3 images; save each as a file"):
+        Video(str(path))
+    images[0].save(path, save_all=True, lossless=True)
+    assert found(path) == [(0, 0)]
+
+
+def test_an_image_in_text_needs_no_last_line(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_text("P2 3 1 255 10 20 30")
+    (frame,) = Video(str(tmp_path / "a.pgm"))
+    assert frame[0, :, 0].tolist() == [10, 20, 30]
 
 
 def test_missing_numbers_are_missing_frames(tmp_path: Path) -> None:

@@ -68,6 +68,7 @@ def test_a_video_of_16_bits_has_its_depth(tmp_path: Path) -> None:
         (np.array([[0.0, 819.0, 4095.0]]), [0, 51, 255]),
         (np.array([[-1.0, 0.0, 1.0]], np.float32), [0, 127, 255]),
         (np.array([[-1.0, np.nan, 1.0]], np.float32), [0, 127, 255]),
+        (np.array([[0.0, np.inf, -np.inf, 1.0]], np.float32), [0, 255, 0, 255]),
         (np.array([[30_000, 30_128, 30_255]], np.uint16), [0, 128, 255]),
         (np.array([[-128, 0, 127]], np.int16), [0, 128, 255]),
         (np.array([[0, 1]], np.bool_), [0, 255]),
@@ -76,7 +77,15 @@ def test_a_video_of_16_bits_has_its_depth(tmp_path: Path) -> None:
     ],
     ids=[
         *("8 bits in 16", "fractions", "floats of 8 bits", "floats of 12 bits", "below 0"),
-        *("with a NaN", "a high dark level", "signed", "one bit", "all alike", "all below 0"),
+        *(
+            "with a NaN",
+            "with infinity",
+            "a high dark level",
+            "signed",
+            "one bit",
+            "all alike",
+            "all below 0",
+        ),
     ],
 )
 def test_levels_are_those_in_use(image: np.ndarray, expected: list[int]) -> None:

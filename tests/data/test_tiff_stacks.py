@@ -1,5 +1,7 @@
 """Stacks of images in TIFF files, as other programs write them."""
 
+import struct
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -38,6 +40,78 @@ def test_pages_written_by_opencv_are_frames(tmp_path: Path) -> None:
     pages = [image.astype(np.uint16) * 16 for image in STACK]
     assert cv2.imwritemulti(str(tmp_path / "v.tif"), pages)
     np.testing.assert_array_equal(frames(tmp_path / "v.tif"), STACK)
+
+
+@pytest.mark.parametrize("tile", [None, (16, 16)])
+@pytest.mark.parametrize("byteorder", ["<", ">"])
+def test_compressed_pages_after_the_first_are_frames(
+    tmp_path: Path, tile: tuple[int, int] | None, byteorder: str
+) -> None:
+    """Of these, tifffile has a description of the first page only."""
+    tifffile.imwrite(
+        tmp_path / "v.tif",
+        STACK.astype(np.uint16) * 16,
+        byteorder=byteorder,  # type: ignore[arg-type]
+        compression="zlib",
+        tile=tile,
+        photometric="minisblack",
+    )
+    np.testing.assert_array_equal(frames(tmp_path / "v.tif"), STACK)
+
+
+def write_packed(path: Path, image: np.ndarray, bits: int) -> None:
+    """A page without unused bits between its levels, the highest first; TIFF 6.0, page 29."""
+    rows = ["".join(f"{level:0{bits}b}" for level in row) for row in image.tolist()]
+    text = "".join(row + "0" * (-len(row) % 8) for row in rows)
+    data = int(text, 2).to_bytes(len(text) // 8, "big")
+    height, width = image.shape
+    tags = [(256, width), (257, height), (258, bits), (259, 1), (262, 1), (273, 8), (277, 1)]
+    tags += [(278, height), (279, len(data))]
+    head = b"II*\0" + struct.pack("<I", 8 + len(data)) + data + struct.pack("<H", len(tags))
+    path.write_bytes(head + b"".join(struct.pack("<HHII", k, 4, 1, v) for k, v in tags) + bytes(4))
+
+
+@pytest.mark.parametrize("bits", [2, 4, 6, 10, 12, 14])
+def test_levels_without_bits_between_them_are_unpacked(tmp_path: Path, bits: int) -> None:
+    image = np.random.default_rng(bits).integers(0, 2**bits, (5, 7))
+    write_packed(tmp_path / "v.tif", image, bits)
+    expected = image >> (bits - 8) if bits > 8 else image * 255 // (2**bits - 1)
+    np.testing.assert_array_equal(frames(tmp_path / "v.tif")[0], expected)
+
+
+@pytest.mark.parametrize("kind", ["int8", "int16", "int32", "uint32", "float16", "float64"])
+def test_values_of_any_type_show_the_same(tmp_path: Path, kind: str) -> None:
+    stack = STACK.astype(np.int64) - 128 if kind == "int8" else STACK.astype(np.int64)
+    tifffile.imwrite(tmp_path / "v.tif", stack.astype(kind), photometric="minisblack")
+    np.testing.assert_array_equal(frames(tmp_path / "v.tif"), STACK)
+
+
+def test_inks_become_light_as_pillow_has_it(tmp_path: Path) -> None:
+    inks = Image.fromarray(np.random.default_rng(1).integers(0, 256, (8, 9, 4)).astype(np.uint8))
+    cmyk = Image.frombytes("CMYK", inks.size, inks.tobytes())
+    cmyk.save(tmp_path / "v.tif")
+    (frame,) = Video(str(tmp_path / "v.tif"))
+    assert np.abs(frame[..., ::-1].astype(int) - np.asarray(cmyk.convert("RGB"))).max() <= 1
+
+
+def test_colours_that_are_not_read_here_are_named(tmp_path: Path) -> None:
+    lab = Image.frombytes("LAB", (4, 4), bytes(range(48)))
+    lab.save(tmp_path / "v.tif")
+    with pytest.raises(DroptrackError, match="its colours are CIELAB, which is not read here"):
+        Video(str(tmp_path / "v.tif"))
+
+
+def test_a_compression_that_needs_a_package_names_it(tmp_path: Path) -> None:
+    if find_spec("imagecodecs") is not None:
+        pytest.skip("imagecodecs reads it")
+    try:
+        write_with_pillow(tmp_path / "v.tif", "zstd")
+    except OSError:
+        pytest.skip("this Pillow writes none")
+    try:
+        np.testing.assert_array_equal(frames(tmp_path / "v.tif"), STACK)  # Python 3.14 has it
+    except DroptrackError as error:
+        assert "is compressed as ZSTD: pip install imagecodecs" in str(error)  # noqa: PT017
 
 
 def test_big_tiff_is_read(tmp_path: Path) -> None:

@@ -48,6 +48,13 @@ def test_a_file_without_box_centres_has_them_at_the_positions(tmp_path: Path) ->
     assert rows.observed.tolist() == [False, True]
 
 
+def test_a_name_of_two_lines_stays_in_its_line(tmp_path: Path) -> None:
+    write_trajectories(tmp_path / "t.csv", some(), {"video": "two\nlines.avi", "made by": "x"})
+    rows, about = read_trajectories(tmp_path / "t.csv")
+    assert len(rows) == len(some())
+    assert about == {"video": r"two\nlines.avi", "made by": "x"}
+
+
 def test_an_empty_table_is_a_valid_file(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     write_trajectories(path, some(0), {})
@@ -62,6 +69,13 @@ def test_an_empty_table_is_a_valid_file(tmp_path: Path) -> None:
         (HEADER + "0,1,5,5,2,2,1\n", "8 columns"),
         (HEADER + "0,1,5,five,2,2,1,1\n", "five"),
         (HEADER + "0,1,5,nan,2,2,1,1\n", "y should be finite"),
+        (HEADER + "0,1,5,5,2,2,1,1\n0.5,1,5,5,2,2,1,1\n", "row 2 .*: frame should be a whole"),
+        (HEADER + "-1,1,5,5,2,2,1,1\n", "frame should be a whole number from 0"),
+        (HEADER + "1e30,1,5,5,2,2,1,1\n", "frame should be a whole number"),
+        (HEADER + "0,1.5,5,5,2,2,1,1\n", "track_id should be a whole number"),
+        (HEADER + "0,1,5,5,-2,2,1,1\n", "w and h should not be below 0"),
+        (HEADER + "0,1,5,5,2,2,1,2\n", "observed should be 0 or 1"),
+        (HEADER.strip() + ",a,a\n0,1,5,5,2,2,1,1,3,4\n", "two columns of one name"),
         (HEADER + "0,1,5,5,2,2,1,1\n0,1,6,6,2,2,1,1\n", "each pair once"),
     ],
 )

@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -77,6 +78,47 @@ def test_what_is_no_video_is_refused_in_one_line(
     with pytest.raises(DroptrackError, match=r"v\.avi"):
         Video(str(path))
     assert capfd.readouterr().err == ""
+
+
+def test_what_cannot_be_a_file_with_a_video_is_said_at_once(tmp_path: Path) -> None:
+    """A pipe kept it waiting for ever; an empty name was the current folder."""
+    os.mkfifo(tmp_path / "pipe.avi")
+    (tmp_path / "empty.avi").touch()
+    (tmp_path / "itself.avi").symlink_to("itself.avi")
+    for name, problem in (
+        ("pipe.avi", "is a pipe"),
+        ("empty.avi", "is empty"),
+        ("itself.avi", "no such video"),
+    ):
+        with pytest.raises(DroptrackError, match=rf"{name}: {problem}"):
+            Video(str(tmp_path / name))
+    for name, problem in (
+        ("", "the name of the video is empty"),
+        ("~/v.avi", "write out what ~ stands for"),
+        ("http://127.0.0.1:1/v.mp4?key=1", "cannot be opened; is the address right"),
+        (str(tmp_path / "*.avi"), "no image whose name is .*; of several videos: droptrack batch"),
+    ):
+        with pytest.raises(DroptrackError, match=problem):
+            Video(name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("two\nlines.avi", "a b.avi", "it's.avi", 'a"b.avi', "100%.avi", "%03d.avi", "-x.avi"),
+        *("--help.avi", "a;b.avi", "a&b|c.avi", "#1.avi", "drop💧.avi", "u\u0308.avi", "[a].avi"),
+        *("a*b?.avi", "~a.avi", "$HOME.avi", "a\\b.avi", "file:x.avi", "concat:a.avi", "X.AVI"),
+    ],
+)
+def test_a_file_may_have_any_name(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with VideoWriter(Path(name), VideoInfo(32, 16, 25, 2), "MJPG") as video:
+        video.write(np.zeros((16, 32, 3), np.uint8))
+        video.write(np.full((16, 32, 3), 200, np.uint8))
+    for source in (name, str(tmp_path / name)):
+        assert [int(frame[0, 0, 0]) for frame in Video(source)] == [0, 200]
 
 
 def test_missing_sources_are_named(tmp_path: Path) -> None:

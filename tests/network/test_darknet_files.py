@@ -154,6 +154,8 @@ def test_weights_with_an_odd_byte_or_nan_or_nothing_are_refused(
         ("width=64", "width=60", "width=60, .*multiple of 32; the nearest is 64"),
         ("filters=18", "filters=255", "filters=18 in the .* which has 255"),
         ("filters=18", "filters=eighteen", "line 15: .* should be a number"),
+        ("filters=18", "filters=1_8", "line 15: .* should be a number"),
+        ("filters=18", "filters=\uff11\uff18", "line 15: .* should be a number"),
         ("[yolo]", "[gru]", r"line 19: layer \[gru\] is not supported"),
         ("mask=0,1,2", "mask=3,4,5", "mask= names an anchor that is not there"),
         ("size=3", "size 3", "expected key=value"),

@@ -297,7 +297,7 @@ def test_a_mark_before_the_text_is_no_part_of_it(tmp_path: Path) -> None:
 
 
 def test_a_list_of_frames_says_which_exist(tmp_path: Path) -> None:
-    path = file_of(tmp_path, "1-3 7\n5\n")
+    path = file_of(tmp_path, "\ufeff1-3 7\n5\n")  # with a mark before UTF-8
     listed = read_frame_list(path)
     assert [n for n in range(10) if n in listed] == [1, 2, 3, 5, 7]
     assert listed.last == 7

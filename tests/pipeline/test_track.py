@@ -148,9 +148,10 @@ def test_dark_droplets_are_found_in_the_negative(sine: Path, tmp_path: Path) -> 
     for t, frame in zip(range(4), Video(str(sine / "video.avi")), strict=False):
         cv2.imwrite(str(tmp_path / "bright" / f"{t}.png"), frame)
         cv2.imwrite(str(tmp_path / "dark" / f"{t}.png"), 255 - frame)
-    assert "if they are darker than what is around them, add --dark" in track(
-        tmp_path / "dark", tmp_path / "none"
-    )
+    told = track(tmp_path / "dark", tmp_path / "none", "--weights", "simulations")
+    assert "if they are darker than what is around them, add --dark" in told
+    track(tmp_path / "dark", tmp_path / "as they are")  # by the model for footage
+    assert len(read_trajectories(tmp_path / "as they are" / "trajectories.csv")[0]) == 4 * 12
     assert "no droplets found" not in track(tmp_path / "bright", tmp_path / "of bright")
     track(tmp_path / "dark", tmp_path / "of dark", "--dark")
     rows, expected = (

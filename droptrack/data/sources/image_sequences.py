@@ -7,6 +7,7 @@ from fnmatch import fnmatch
 from itertools import pairwise
 from pathlib import Path
 
+from droptrack.data.files import reading
 from droptrack.data.sources.image_files import (
     IMAGE_SUFFIXES,
     NUMBERS,
@@ -127,8 +128,12 @@ def _images(folder: Path, found: NumberedImages) -> Iterator[tuple[int, Image]]:
 
 
 def read_image_file(path: Path) -> Image | None:
-    """A file with one image, as it is stored, upright; None if it cannot be decoded."""
-    return read_single(path) if path.suffix.lower() in TIFF_SUFFIXES else decode_image(path)
+    """A file with one image, as it is stored, upright; None if it cannot be decoded.
+
+    Raises DroptrackError where the file cannot be read, or holds several.
+    """
+    with reading(path, "an image"):
+        return read_single(path) if path.suffix.lower() in TIFF_SUFFIXES else decode_image(path)
 
 
 def _kinds(files: Sequence[Path], columns: Sequence[tuple[int, ...]]) -> list[str]:
@@ -158,7 +163,10 @@ def _what_is_there(folder: Path, pattern: str) -> str:
     if not names:
         return f"{folder}: has no frame: the folder is empty"
     if pattern != "*":
-        return f"{folder}: has no image whose name is {pattern}"
+        hint = ""
+        if not pattern.lower().endswith(tuple(IMAGE_SUFFIXES)):
+            hint = "; of several videos: droptrack batch"
+        return f"{folder}: has no image whose name is {pattern}{hint}"
     kinds = sorted({Path(name).suffix.lower() or "no suffix" for name in names})[:N_NAMED]
     return (
         f"{folder}: has no frame: no image ({' '.join(sorted(IMAGE_SUFFIXES))}), only "

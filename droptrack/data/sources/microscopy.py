@@ -3,9 +3,12 @@ extra ``[microscopy]``; and what to do with formats that are not read here.
 """  # noqa: D205
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from math import prod
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -15,6 +18,14 @@ from droptrack.errors import DroptrackError
 MICROSCOPY_SUFFIXES = (".nd2", ".czi", ".lif")
 BIOFORMATS = (
     "save it as OME-TIFF with Fiji (File > Import > Bio-Formats), or bfconvert IN OUT.ome.tif"
+)
+# times that a file may be smaller than its images, and bytes of these that are no matter
+MAX_SHRUNK, MIN_SHRUNK = 100, 10_000_000
+# where ZEN writes metres a pixel, seconds a frame, and bits of a level
+CZI_PLACES = (
+    ".//Scaling/Items/Distance[@Id='X']/Value",
+    ".//Image/Dimensions/T/Positions/Interval/Increment",
+    ".//Image/ComponentBitCount",
 )
 # formats that people bring and that are not read here -> how to convert them
 CONVERT = {
@@ -92,9 +103,25 @@ def _nd2_rate(file: Any) -> float:
 def _open_czi(path: Path, options: ReadOptions) -> Source:
     import czifile
 
-    file = czifile.CziFile(path)
-    axes, shape = str(file.axes), tuple(file.shape)
-    return _from_array(path, axes, shape, file.asarray, options)
+    with czifile.CziFile(path) as file:
+        axes, shape = str(file.axes), tuple(file.shape)
+        n_bytes = prod(shape) * np.dtype(file.dtype).itemsize
+        if n_bytes > MAX_SHRUNK * path.stat().st_size + MIN_SHRUNK:
+            raise DroptrackError(f"{path}: claims {n_bytes} bytes of images; is it damaged?")
+        if "0" in axes:  # its name of samples; S are scenes
+            axes = axes.replace("S", "P").replace("0", "S")
+        source = _from_array(path, axes, shape, file.asarray, options)
+        size, rate, bits = _czi_calibration(str(file.metadata() or ""))
+    return replace(source, pixel_size_um=size, fps=rate, bits=bits)
+
+
+def _czi_calibration(xml: str) -> tuple[float, float, int]:
+    """Width of a pixel in um, frames a second, bits in use; 0 where the metadata do not say."""
+    metres = step = bits = 0.0
+    with suppress(ElementTree.ParseError, ValueError):
+        root = ElementTree.fromstring(xml)
+        metres, step, bits = (float(root.findtext(place) or 0) for place in CZI_PLACES)
+    return 1e6 * metres, 1 / step if step > 0 else 0.0, int(bits) if bits > 8 else 0
 
 
 def _open_lif(path: Path, options: ReadOptions) -> Source:
@@ -119,7 +146,6 @@ def _from_array(
 ) -> Source:
     """A file that is read at once, as its axes say."""
     array = np.asarray(load())
-    axes = axes.replace("0", "S")
     counts = {axis: n for axis, n in zip(axes, shape, strict=True) if axis not in "YXS"}
     channels = counts.get("C", 1)
     channel = _channel(path, options, channels)

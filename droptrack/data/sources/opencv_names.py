@@ -1,10 +1,17 @@
-"""Names of files that OpenCV opens rightly, whatever the file is called."""
+"""Names of files that OpenCV opens rightly, whatever the file is called, and without a word."""
 
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import cv2
+
+SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
+CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # a new line, for one
 
 
 @contextmanager
@@ -33,6 +40,25 @@ def opencv_name(path: Path) -> Iterator[str]:
         yield absolute
 
 
+@contextmanager
+def without_log() -> Iterator[None]:
+    """Let OpenCV print nothing on stderr; what failed is said by errors."""
+    log: Any = getattr(cv2.utils, "logging", cv2)  # where OpenCV 4.10 has it
+    level = log.getLogLevel()
+    log.setLogLevel(SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(level)
+
+
 def printable(text: str) -> str:
-    r"""Text that can be written anywhere; bytes of a name that are no UTF-8 become ``\udcXX``."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    r"""Text that can be written anywhere, in one line.
+
+    Bytes of a name that are no UTF-8 become ``\udcXX``, a new line ``\n``.
+
+    >>> print(printable("a\nb"))
+    a\nb
+    """
+    shown = CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return shown.encode("utf-8", "backslashreplace").decode()

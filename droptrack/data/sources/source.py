@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from droptrack.data.sources.frame_times import FrameTimes
 from droptrack.errors import DroptrackError
 
 Image = NDArray[Any]  # (H, W) or (H, W, C) of any type; colours are BGR
@@ -38,6 +39,7 @@ class Source:
     missing, as in a numbered sequence with holes. `samples`: reads images from all over it, where
     they can be had at once; else None. `bits`: of the grey levels, 0 where the file does not say.
     `fps` and `pixel_size_um`: 0 where it does not say. `notes`: what a user might not expect.
+    `times`: those of the frames so far, where the file has them.
     """
 
     n_frames: int
@@ -49,6 +51,7 @@ class Source:
     fps: float = 0.0
     pixel_size_um: float = 0.0
     notes: tuple[str, ...] = ()
+    times: FrameTimes | None = None
 
 
 def spread(n: int) -> list[int]:

@@ -20,13 +20,16 @@ import tifffile
 
 from droptrack.data.files import reading
 from droptrack.data.sources.image_files import MAX_PIXELS, decode_image
+from droptrack.data.sources.opencv_names import opencv_name, without_log
 from droptrack.data.sources.source import Image, ReadOptions, Source, spread
+from droptrack.data.sources.tiff_pages import as_bgr, is_packed, unpack_page
 from droptrack.errors import DroptrackError
 
 MICROMETRES = {"um": 1.0, "µm": 1.0, "μm": 1.0, "micron": 1.0, "microns": 1.0, "\\u00B5m": 1.0}
 MICROMETRES |= {"nm": 1e-3, "mm": 1e3, "cm": 1e4, "m": 1e6}
 SECONDS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "µs": 1e-6, "us": 1e-6, "min": 60.0}
 SPACE = "YXS"  # axes of one image
+OPENCV_DECODES = (1, 2, 3, 4, 5, 7, 8, 32773, 32946)  # compressions: fax, LZW, JPEG, Deflate
 MAX_TAGS = 500  # of a page
 
 logging.getLogger("tifffile").disabled = True  # what is wrong with a file is said by an error
@@ -84,18 +87,25 @@ class TiffStack:
     def read(self, number: int) -> Image | None:
         """An image, from 0; None if it cannot be decoded."""
         index = self._order[number]
+        page: Any = self._file.pages[0]
+        image: Image | None
         try:
-            page: Any = self._file.pages[0]
-            image: Image | None
             if self._map is not None:
                 image = np.asarray(self._map[index])
             else:
                 page = self._pages[index]
                 image = self._page(page, index)
-            image = None if image is None else _as_bgr(image, page, self._axes)
+        except DroptrackError:
+            raise
         except Exception:  # noqa: BLE001  its decoders do, too
             return None
-        return image if image is not None and image.ndim in (2, 3) else None
+        if image is None:
+            return None
+        try:  # pages after the first know only their key frame
+            image = as_bgr(image, page.keyframe, self._axes)
+        except (ValueError, IndexError, TypeError):  # a damaged colour map, for one
+            return None
+        return image if image.ndim in (2, 3) else None
 
     def close(self) -> None:
         """Close the file."""
@@ -152,15 +162,24 @@ class TiffStack:
         return np.memmap(self.path, dtype, "r", offset, (count, *inner))
 
     def _page(self, page: Any, index: int) -> Image | None:
+        """A page's values; None if it cannot be decoded."""
         if page is None:
             return None
         try:
             return np.asarray(page.asarray())
-        except ValueError as error:
-            if "imagecodecs" not in str(error):
+        except Exception as error:
+            if "imagecodecs" not in str(error) and not isinstance(error, ImportError):
                 raise
+        first = page.keyframe
+        if is_packed(first):
+            return unpack_page(page)
         # compressed otherwise than by numbers alone: OpenCV has the decoders
-        ok, images = cv2.imreadmulti(str(self.path), index, 1, flags=cv2.IMREAD_UNCHANGED)
+        if first.compression not in OPENCV_DECODES:
+            raise DroptrackError(
+                f"{self.path}: is compressed as {first.compression.name}: pip install imagecodecs"
+            )
+        with opencv_name(self.path) as name, without_log():
+            ok, images = cv2.imreadmulti(name, index, 1, flags=cv2.IMREAD_UNCHANGED)
         image = np.asarray(images[0]) if ok else None
         return image[..., ::-1] if image is not None and image.ndim == 3 else image
 
@@ -175,32 +194,6 @@ def _frame_order(axes: Sequence[tuple[str, int]], channel: int) -> list[int]:
         names.remove("C")
     order = sorted(range(len(names)), key=lambda i: (names[i] != "T", names[i] == "Z", i))
     return [int(number) for number in numbers.transpose(order).ravel()]
-
-
-def _as_bgr(image: Image, page: Any, axes: str) -> Image:
-    """A page as OpenCV would have it: samples last, BGR, turned, white bright."""
-    if image.ndim == 3 and image.shape[0] in (3, 4) and "S" in axes and axes[-1] != "S":
-        image = np.moveaxis(image, 0, -1)
-    image = image.reshape(image.shape[:2]) if image.ndim == 3 and image.shape[2] == 1 else image
-    if image.ndim == 3 and image.shape[2] >= 3:
-        image = image[..., [2, 1, 0, *range(3, min(4, image.shape[2]))]]
-    if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE and image.dtype.kind == "u":
-        image = np.iinfo(image.dtype).max - image
-    if page.photometric == tifffile.PHOTOMETRIC.PALETTE and not page.parent.is_imagej:
-        image = np.moveaxis(page.colormap[::-1, image] >> 8, 0, -1).astype(np.uint8)
-    orientation = page.tags.get("Orientation") if hasattr(page, "tags") else None
-    return turned(image, int(orientation.value) if orientation is not None else 1)
-
-
-def turned(image: Image, orientation: int) -> Image:
-    """An image turned upright, as its orientation tag (1 to 8, TIFF 6.0 page 36) says."""
-    if orientation >= 5:
-        image = image.swapaxes(0, 1)
-    if orientation in (2, 3, 6, 7):
-        image = image[:, ::-1]
-    if orientation in (3, 4, 7, 8):
-        image = image[::-1]
-    return np.ascontiguousarray(image)
 
 
 def open_stacks(files: Sequence[Path], options: ReadOptions) -> Source:
@@ -298,7 +291,8 @@ def read_single(path: Path) -> Image | None:
 
 def _calibration(file: tifffile.TiffFile) -> Calibration:
     """What the file says of pixel size, frame interval and bits in use."""
-    bits = 0
+    first: Any = file.pages[0]
+    bits = first.bitspersample if first.bitspersample in (10, 12, 14) else 0
     tag = file.pages[0].tags.get("MaxSampleValue")  # type: ignore[union-attr]
     if tag is not None and isinstance(tag.value, int) and 255 < tag.value < 65535:
         bits = tag.value.bit_length()

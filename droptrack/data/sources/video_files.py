@@ -1,5 +1,6 @@
 """Video files, cameras and streams, through OpenCV and its FFmpeg."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain, count
 from pathlib import Path
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from droptrack.data.frames import Frame, as_frame, grey_frame, grey_plane
 from droptrack.data.sources.avi_index import avi_frames, read_frames
-from droptrack.data.sources.opencv_names import opencv_name
+from droptrack.data.sources.frame_times import FrameTimes
+from droptrack.data.sources.mp4_edits import shown_share
+from droptrack.data.sources.opencv_names import opencv_name, without_log
 from droptrack.data.sources.source import Image, ReadOptions, Source, refuse_channel
 from droptrack.errors import DroptrackError
 
@@ -20,27 +23,39 @@ LOOK_FOR_COLOUR = 25  # frames from one look to the next, in Motion JPEG
 MAX_DAMAGED = 10_000
 GREY_16 = int.from_bytes(b"Y1\x00\x10", "little")  # FFmpeg's code of grey with 16 bits
 # what the first bytes of files are whose containers count their frames; others estimate them
-COUNTING = ((0, b"RIFF"), (4, b"ftyp"), (4, b"moov"), (4, b"mdat"), (4, b"wide"), (4, b"free"))
+MPEG_4 = ((4, b"ftyp"), (4, b"moov"), (4, b"mdat"), (4, b"wide"), (4, b"free"))
+COUNTING = ((0, b"RIFF"), *MPEG_4)
+# FFmpeg's codes of pixels of 8 bits whose luma lies alone; of 10, 12 and so on, the last byte
+PLANAR = (b"I420", b"IYUV", b"YV12", b"422P", b"Y42B", b"444P")
+MORE_BITS = b"Y3"
+MIN_ALIKE = 0.5  # correlation of a frame's luma with what the codec gave, if it was converted
+MIN_SPREAD = 3  # standard deviation of grey levels, to tell that
 
 
 def open_video(path: Path, options: ReadOptions) -> Source:
     """A video file. Raises DroptrackError for what OpenCV cannot read."""
     refuse_channel(str(path), options)
+    if path.is_file() and not path.stat().st_size:
+        raise DroptrackError(f"{path}: is empty: it has no bytes")
     with opencv_name(path) as name:
         capture = open_capture(name, str(path))
-        images = _read_jpegs(path, name, capture)
+        fps = float(capture.get(cv2.CAP_PROP_FPS))
+        times = FrameTimes(fps if math.isfinite(fps) and fps > 0 else 0.0)
+        images = _read_jpegs(path, name, capture, times)
         if images is None and int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == GREY_16:
             capture.release()
             capture = open_capture(name, str(path), [cv2.CAP_PROP_CONVERT_RGB, 0])
     n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-    fps = float(capture.get(cv2.CAP_PROP_FPS))
     if images is not None:
         capture.release()
+    share = shown_share(path) if _begins_with(path, MPEG_4) else 1.0
+    cut = (1 - share) * n_frames > 0.5  # by an edit list; where, FFmpeg knows
     return Source(
-        images=images or read_capture(capture, n_frames),
-        n_frames=n_frames,
-        counted=_counts_frames(path),
+        images=images or _converted(path, read_capture(capture, n_frames, times)),
+        n_frames=round(share * n_frames) if cut else n_frames,
+        counted=_begins_with(path, COUNTING) and not cut,
         fps=fps,
+        times=times,
     )
 
 
@@ -48,24 +63,28 @@ def open_capture(
     source: int | str, name: str, parameters: Sequence[int] | None = None
 ) -> cv2.VideoCapture:
     """OpenCV's reader of a camera, file or stream; raises DroptrackError with its `name`."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the error below says more
-    if isinstance(source, int):
-        capture = cv2.VideoCapture(source)
-    elif parameters:
-        capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, parameters)
-    else:
-        capture = cv2.VideoCapture(source)
-    cv2.utils.logging.setLogLevel(level)
+    with without_log():  # the error below says more
+        if isinstance(source, int):
+            capture = cv2.VideoCapture(source)
+        elif parameters:
+            capture = cv2.VideoCapture(source, cv2.CAP_FFMPEG, parameters)
+        else:
+            capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         if isinstance(source, int):
             raise DroptrackError(f"camera {source}: cannot be opened; is it plugged in and free?")
+        if "://" in name and not name.startswith("file:"):
+            raise DroptrackError(
+                f"{name}: cannot be opened; is the address right, is it there, and is it a video?"
+            )
         raise DroptrackError(f"{name}: is no video that OpenCV or FFmpeg can read")
     return capture
 
 
-def read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int, Image]]:
-    """Frames of a camera, or of a video that claims to have so many.
+def read_capture(
+    capture: cv2.VideoCapture, claimed: int, times: FrameTimes | None = None
+) -> Iterator[tuple[int, Image]]:
+    """Frames of a camera, or of a video that claims to have so many; `times` are told theirs.
 
     FFmpeg leaves some out that it cannot decode, and fails at others. That is not yet the end.
     """
@@ -76,6 +95,8 @@ def read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int,
             ok, image = capture.read()
             if ok:
                 n_failed = 0
+                if times is not None:
+                    times.add(capture.get(cv2.CAP_PROP_POS_MSEC))
                 if image.dtype != np.uint8:
                     yield index, image
                     continue
@@ -91,45 +112,110 @@ def read_capture(capture: cv2.VideoCapture, claimed: int) -> Iterator[tuple[int,
         capture.release()
 
 
-def _counts_frames(path: Path) -> bool:
+def _converted(path: Path, images: Iterator[tuple[int, Image]]) -> Iterator[tuple[int, Image]]:
+    """The same images; raises DroptrackError where OpenCV could not convert the first of them.
+
+    The FFmpeg of OpenCV 4.14 does not convert interlaced frames, and OpenCV gives what was in the
+    memory instead, without a word. The luma of such a frame can be had all the same.
+    """
+    with opencv_name(path) as name, without_log():
+        capture = cv2.VideoCapture(
+            name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_CONVERT_RGB, 0, cv2.CAP_PROP_N_THREADS, 1]
+        )
+    known = bool(capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360)
+    for index, image in images:
+        if not known and image.dtype == np.uint8:
+            alike = _alike(capture, image)
+            known = alike is not None
+            if alike is False:
+                raise DroptrackError(
+                    f"{path}: its frames are interlaced, which OpenCV cannot convert, and each "
+                    "shows two times; make them whole: ffmpeg -i IN -vf bwdif -q:v 1 OUT.avi"
+                )
+        if known:
+            capture.release()
+        yield index, image
+
+
+def _alike(capture: cv2.VideoCapture, image: Image) -> bool | None:
+    """Whether a frame has the luma that comes next, unconverted; None if that cannot be told."""
+    code = (int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) & 0xFFFFFFFF).to_bytes(4, "little")
+    two_bytes = code.startswith(MORE_BITS)
+    if not (code in PLANAR or two_bytes):
+        return True
+    with without_log():
+        ok, luma = capture.read()
+    grey = image if image.ndim == 2 else image.mean(axis=2)
+    if not ok or luma.shape != grey.shape:
+        return True
+    if two_bytes:  # of which OpenCV gives as many as there are pixels
+        half = luma.shape[1] // 2
+        luma = np.ascontiguousarray(luma[:, : 2 * half]).view("<u2") * (255 / 2 ** code[3])
+        grey = grey[:, :half]
+    if luma.size == 0 or luma.std() < MIN_SPREAD:
+        return None
+    return bool(grey.std() and np.corrcoef(grey.ravel(), luma.ravel())[0, 1] > MIN_ALIKE)
+
+
+def _begins_with(path: Path, marks: Sequence[tuple[int, bytes]]) -> bool:
+    """Whether one of the marks stands in its place of the first bytes."""
     with path.open("rb") as file:
         head = file.read(12)
-    return any(head[place:].startswith(mark) for place, mark in COUNTING)
+    return any(head[place:].startswith(mark) for place, mark in marks)
 
 
 def _read_jpegs(
-    path: Path, name: str, capture: cv2.VideoCapture
+    path: Path, name: str, capture: cv2.VideoCapture, times: FrameTimes
 ) -> Iterator[tuple[int, Image]] | None:
-    """Frames of a Motion JPEG file; None for other files, and for other forms of it.
+    """Frames of a Motion JPEG or PNG file; None for other files, and for other forms of it.
 
     OpenCV decodes a JPEG image in less time than FFmpeg, a grey one in half of it, and tells when
-    one is damaged. What is to be turned is left to FFmpeg.
+    one is damaged; of PNG it keeps all 16 bits. What is to be turned is left to FFmpeg.
     """
     code = (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little")
     turned = capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360
-    if code.upper() not in {b"MJPG", b"JPEG"} or turned:
+    is_png = code.upper() in {b"MPNG", b"PNG "}
+    if not (is_png or code.upper() in {b"MJPG", b"JPEG"}) or turned:
         return None
-    packets = _packets(name)
+    packets = _packets(name, times)
     first = next(packets, None)
-    image = None if first is None else cv2.imdecode(first, cv2.IMREAD_COLOR)
+    image = None if first is None else _decode(first, cv2.IMREAD_COLOR)
     size = [capture.get(side) for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)]
     if first is None or image is None or list(image.shape[:2]) != size:  # half a frame, maybe
         return None
+    if is_png:
+        return _decoded_png(chain([first], packets))
     frames = avi_frames(path, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
     return _decoded(chain([first], packets) if frames is None else read_frames(path, frames))
 
 
-def _packets(name: str) -> Iterator[NDArray[np.uint8]]:
-    """The frames of a video file as they are in it."""
+def _packets(name: str, times: FrameTimes) -> Iterator[NDArray[np.uint8]]:
+    """The frames of a video file as they are in it; `times` are told theirs."""
     capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
     try:
         while True:
             ok, packet = capture.read()
             if not ok:
                 return
+            times.add(capture.get(cv2.CAP_PROP_POS_MSEC))
             yield np.asarray(packet, np.uint8)
     finally:
         capture.release()
+
+
+def _decode(packet: NDArray[np.uint8], flags: int) -> Image | None:
+    """An image file's image; None of one that is damaged."""
+    with without_log():
+        image = cv2.imdecode(packet, flags) if len(packet) else None
+    return None if image is None else np.asarray(image)
+
+
+def _decoded_png(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Image]]:
+    """The frames of PNG images, with all their bits."""
+    for index, packet in enumerate(packets):
+        image = _decode(packet, cv2.IMREAD_UNCHANGED)
+        if image is not None:
+            yield index, image
 
 
 def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]]:

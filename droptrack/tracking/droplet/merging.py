@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.tracking.association import assign_in_order
@@ -15,7 +14,7 @@ from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import MIN_DEVIATION
 from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracks import Tracks
-from droptrack.tracking.nearest import nearest
+from droptrack.tracking.nearest import nearest, tree_of
 from droptrack.tracking.tracker import Resumption
 
 GATE = 11.8  # chi-square of two degrees of freedom, 99.7 %
@@ -105,7 +104,7 @@ def _meeting(
         return [], np.zeros(0)
     k = min(CANDIDATES, len(lost))
     state = tracks.state
-    _, near = nearest(cKDTree(state.position[lost]), state.position[ready], k)
+    _, near = nearest(tree_of(state.position[lost]), state.position[ready], k)
     new, old = np.repeat(ready, k), lost[near.ravel()]
     gap = tracks.missed[old] - tracks.frames[new] + 1
     new, old, gap = new[gap > 0], old[gap > 0], gap[gap > 0]

@@ -1,0 +1,78 @@
+"""Videos as other programs write them; `reference/videos/make.sh` made these with ffmpeg."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from droptrack.data.sources.frame_times import FrameTimes
+from droptrack.data.sources.mp4_edits import shown_share
+from droptrack.data.video import Video
+from droptrack.errors import DroptrackError
+
+VIDEOS = Path(__file__).parents[1] / "reference" / "videos"
+CODEC = 2  # grey levels by which a codec may be wrong
+LEVELS = [20 + 15 * t for t in range(12)]
+
+
+def levels_of(video: Video) -> dict[int, int]:
+    """The grey level at the lower right of each frame, by its number."""
+    return {number: int(np.median(frame[24:, 16:, 1])) for number, frame in video.numbered()}
+
+
+def same(found: dict[int, int], expected: list[int]) -> bool:
+    return list(found) == list(range(len(expected))) and bool(
+        np.abs(np.array(list(found.values())) - expected).max() <= CODEC
+    )
+
+
+def test_frames_that_were_stored_in_another_order_come_in_theirs() -> None:
+    video = Video(str(VIDEOS / "steady.mp4"))
+    assert same(levels_of(video), LEVELS)
+    assert (video.info.n_frames, video.counted, video.doubt) == (12, True, "")
+
+
+def test_what_an_edit_list_leaves_out_is_not_missed() -> None:
+    video = Video(str(VIDEOS / "cut.mp4"))
+    assert (video.info.n_frames, video.counted) == (8, False)
+    assert same(levels_of(video), LEVELS[4:])
+    assert shown_share(VIDEOS / "steady.mp4") == 1
+    assert shown_share(VIDEOS / "make.sh") == 1
+
+
+@pytest.mark.parametrize("name", ["uneven.mp4", "uneven.mkv"])
+def test_a_rate_that_is_not_steady_is_said(name: str) -> None:
+    video = Video(str(VIDEOS / name))
+    assert same(levels_of(video), LEVELS[:4] + LEVELS[7:])
+    assert "1 of the 8 steps from frame to frame are not 1/" in video.doubt
+
+
+def test_times_that_a_container_rounds_are_steady() -> None:
+    """Milliseconds, as in Matroska: 33, 67, 100 and so on; 0.5 becomes 0 or 1."""
+    for rate in (30_000 / 1001, 2000.0):
+        times = FrameTimes(rate)
+        for t in range(1000):
+            times.add(round(1000 * t / rate))
+        assert times.doubt() == ""
+
+
+def test_a_rate_that_is_wrong_for_all_frames_is_said() -> None:
+    times = FrameTimes(30)
+    for t in range(100):
+        times.add(t * 1000 / 25)
+    assert "are 0.04 s on average, not 1/30 s" in times.doubt()
+
+
+@pytest.mark.parametrize("name", ["interlaced.mpg", "interlaced.mov"])
+def test_interlaced_frames_are_read_rightly_or_refused(name: str) -> None:
+    """The FFmpeg of OpenCV 4.14 gives black ones."""
+    try:
+        assert same(levels_of(Video(str(VIDEOS / name))), LEVELS)
+    except DroptrackError as error:
+        assert "its frames are interlaced" in str(error)  # noqa: PT017
+
+
+def test_grey_of_12_bits_in_a_film_of_png_keeps_its_levels() -> None:
+    video = Video(str(VIDEOS / "grey12.mov"))
+    assert str(video.levels) == "0 to 4095, 12 bits, as its values show"
+    assert list(levels_of(video).values()) == LEVELS

@@ -291,7 +291,7 @@ def _after_gaps(
 
 def _resumed(passages: Passages, tracks: Tracks, matches: Matches) -> Passages:
     """With this image, and the lost droplets that are seen again in it."""
-    passages = passages.with_image(int(tracks.confirmed[matches.rows].sum()))
+    passages = passages.with_image(int(np.count_nonzero(tracks.confirmed[matches.rows])))
     late = tracks.unseen > 1
     if not late.any():
         return passages

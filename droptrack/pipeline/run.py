@@ -391,7 +391,7 @@ def _say_what_is_odd(
         shade, cure = ("brighter", "leave out") if config.dark else ("darker", "add")
         say(
             f"{name}: no droplets found; if they are {shade} than what is around them, {cure} "
-            "--dark"
+            "--dark; --diameter says how large they are, --weights footage knows other droplets"
         )
     if results.n_dropped:
         say(f"{name}: {results.n_dropped} frames dropped, newer ones were there")

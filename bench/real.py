@@ -28,7 +28,7 @@ from droptrack.detection.engine_choice import Network, Precision, choose_detecto
 from droptrack.detection.scale import Canvas
 from droptrack.detection.scale_choice import MIN_SCORE as TILE_SCORE
 from droptrack.detection.scale_choice import TILE, choose_scale
-from droptrack.network.bundled import find_network
+from droptrack.network.bundled import FOOTAGE, find_network
 from droptrack.network.darknet_cfg import resized
 
 SCALES = tuple(0.8 * 2 ** (k / 2) for k in range(-4, 4))
@@ -270,7 +270,11 @@ def rows_of(folder: Path, name: str, weights: Path | None) -> Iterator[tuple[str
 
 
 def run(folder: Path, weights: Path | None, sets: Iterable[str]) -> None:
-    """Print a table for each set that is there. Raises KeyError for a set without rules."""
+    """Print a table for each set that is there; by default, of the bundled model for footage.
+
+    Raises KeyError for a set without rules.
+    """
+    weights = weights or Path(FOOTAGE)
     console = Console(width=100)
     for name in sets:
         if not (folder / name).is_dir():

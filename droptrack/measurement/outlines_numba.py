@@ -312,7 +312,7 @@ def _ring(
         if n_risen < min_risen * n:
             return False, 0.0, 0.0
         outer = outer[:n_risen]
-        outside = np.quantile(outer, s.bare if levels[1] > 0 else 1 - s.bare)
+        outside = float(np.quantile(outer, s.bare if levels[1] > 0 else 1 - s.bare))
     else:
         outside = np.median(outer) if alone else inside
     over, under = highest - max(inside, outside), min(inside, outside) - lowest

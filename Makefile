@@ -6,9 +6,11 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constr
 SEED ?= 0
 SPOILT ?= 0
 DEGRADED ?= $(SPOILT) # share of the training images to degrade; SPOILT is its former name
+SCALE ?= small# of make reproduce: small, or paper, the paper's sizes
 ARGS ?= # more options: make train ARGS=--resume, make calibrate ARGS="--size 1216x608"
 
-.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate bench soak check test docs
+.PHONY: setup dev demo dataset train-tiny train train-droplets calibrate reproduce bench soak \
+	check test docs
 
 setup: $(VENV)/.installed
 
@@ -64,6 +66,10 @@ calibrate: dev
 		--out datasets/calibration
 	$(BIN)/python -m droptrack.calibrate --data datasets/calibration/obj.data \
 		--images 200 --checked 300 $(ARGS)
+
+# the whole paper: reproduction/index.html, its figures and results.json; again to go on
+reproduce: dev
+	$(BIN)/python -m bench.reproduce --scale $(SCALE) $(ARGS)
 
 bench: dev
 	$(BIN)/python -m bench

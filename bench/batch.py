@@ -5,6 +5,7 @@ Times are those of whole commands, as a user waits for them, and are compared wi
 
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
@@ -40,12 +42,25 @@ def _command(*words: object) -> list[str]:
 
 def _seconds(*words: object) -> float:
     """How long a command takes; raises CalledProcessError where it fails."""
-    began = time.perf_counter()
+    return _run(*words)[0]
+
+
+def _run(*words: object) -> tuple[float, float]:
+    """How long a command takes, and its processor time, s."""
+    began, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(_command(*words), cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         console.print(done.stderr, markup=False)
     done.check_returncode()
-    return time.perf_counter() - began
+    seconds, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return seconds, used
+
+
+def _print_load() -> None:
+    """How busy the machine is; what is measured on a busy one is the processor time."""
+    load, cores = os.getloadavg()[0], len(os.sched_getaffinity(0))
+    console.print(f"{cores} cores, load of the last minute {load:.1f}")
 
 
 def _copies(video: Path, folder: Path, n: int) -> Path:
@@ -61,7 +76,7 @@ def _workers_of(pid: int) -> list[int]:
     return [int(child) for path in children for child in path.read_text().split()]
 
 
-def _peak_mb(pid: int) -> float:
+def _mb(pid: int) -> float:
     """Memory that a process has now, MB."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("VmRSS"):
@@ -84,14 +99,15 @@ def throughput(
         shorts = _copies(folder / "short.avi", folder / "shorts", videos)
         total = frames * videos
         for _ in range(repeats):
-            long_s = _seconds("track", folder / "long.avi", "--out", folder / "long")
+            long_s, long_used = _run("track", folder / "long.avi", "--out", folder / "long")
             console.print(f"one video of {total} frames: {total / long_s:.1f} frames/s")
             for n in workers.split(","):
                 out = folder / f"by {n}"
-                short_s = _seconds("batch", shorts, "--out", out, "--workers", n)
+                short_s, used = _run("batch", shorts, "--out", out, "--workers", n)
                 console.print(
                     f"{videos} videos of {frames} frames, --workers {n}: "
-                    f"{total / short_s:.1f} frames/s, {long_s / short_s:.3f} of that"
+                    f"{total / short_s:.1f} frames/s, {long_s / short_s:.3f} of that; by "
+                    f"processor time {long_used / used:.3f}"
                 )
                 shutil.rmtree(out)
             shutil.rmtree(folder / "long")
@@ -183,7 +199,7 @@ def memory(
                 n_done = sum(1 for _ in folder.glob("out/*/report.json"))
                 if n_done and n_done not in seen and (workers := _workers_of(batch.pid)):
                     try:
-                        seen[n_done] = _peak_mb(workers[0]), _peak_mb(batch.pid)
+                        seen[n_done] = _mb(workers[0]), _mb(batch.pid)
                     except OSError:  # it has just ended
                         continue
                 time.sleep(0.1)
@@ -199,21 +215,26 @@ def _steps(n: int) -> list[int]:
 @app.command()
 @one_line_errors
 def start(repeats: Annotated[int, typer.Option(min=1, help="Measurements.")] = 7) -> None:
-    """Seconds of ``droptrack track`` on a video of two frames; the first fills the cache."""
+    """Seconds of ``droptrack track`` on a video of two frames; the first fills the caches."""
     with _folder() as folder:
+        if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):  # users have what Python compiled
+            os.environ["PYTHONPYCACHEPREFIX"] = str(folder / "compiled")
         write_video(folder / "two.avi", 2)
-        words = ("track", folder / "two.avi", "--out", folder / "out", "--overwrite")
-        first, *others = [_seconds(*words) for _ in range(repeats + 1)]
-    others.sort()
-    console.print(
-        f"start of track: {others[len(others) // 2]:.2f} s (fastest {others[0]:.2f} s); the first, "
-        f"which may have to compile the network, {first:.2f} s"
-    )
+        track = ("track", folder / "two.avi", "--out", folder / "out", "--overwrite")
+        for words in (track, ("track", "--help"), ("--help",)):
+            (first, _), *others = [_run(*words) for _ in range(repeats + 1)]
+            seconds, used = (sorted(one) for one in zip(*others, strict=True))
+            console.print(
+                f"start of {'two frames' if words is track else ' '.join(map(str, words))}: "
+                f"{median(seconds):.2f} s (fastest {seconds[0]:.2f} s), processor time "
+                f"{median(used):.2f} s; the first one, which fills the caches, {first:.2f} s"
+            )
 
 
 @app.callback(invoke_without_command=True)
 def main(context: typer.Context) -> None:
     """Without a command: throughput, listing, kills, memory and start."""
+    _print_load()
     if context.invoked_subcommand is None:
         start()
         listing()

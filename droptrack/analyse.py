@@ -1,21 +1,25 @@
 """Command: the physics of trajectories, ``python -m droptrack.analyse``."""
 
+import functools
+import inspect
+import shlex
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from droptrack.analysis.flock.report import PAPER_THRESHOLD, FlockConfig, analyse_flock
-from droptrack.analysis.flow.report import FlowConfig, analyse_flow
-from droptrack.analysis.motion.report import DEFAULT_LAG, MotionConfig, analyse_motion
+from droptrack.analysis.choice import ANALYSES, Asked, Config
+from droptrack.analysis.flock.report import PAPER_THRESHOLD, FlockConfig
+from droptrack.analysis.flow.report import FlowConfig
+from droptrack.analysis.motion.report import DEFAULT_LAG, MotionConfig
 from droptrack.analysis.records import Analysis
-from droptrack.analysis.size.report import SizeConfig, analyse_size
+from droptrack.analysis.size.report import SizeConfig
 from droptrack.analysis.structure.report import (
     DEFAULT_PERSISTENCE,
     DEFAULT_REACH,
     StructureConfig,
-    analyse_structure,
 )
 from droptrack.analysis.writing import check_free, write_analysis
 from droptrack.command_line import new_app, one_line_errors
@@ -40,7 +44,10 @@ RadiusOption = Annotated[
 ]
 SeedOption = Annotated[int, typer.Option(min=0, help="Of shuffles and of the bootstrap.")]
 
+USAGE_ERROR: Any = typer.BadParameter.__base__  # Typer does not name it
+
 app = new_app()
+CONFIGURED: dict[str, Callable[..., Config]] = {}  # what makes of options what each analysis takes
 
 
 @app.callback()
@@ -48,11 +55,44 @@ def main() -> None:
     """Quantities that papers report, of any trajectories, with errors and null models."""
 
 
-@app.command()
-@one_line_errors
+def _analysis(name: str) -> Callable[[Callable[..., Config]], Callable[..., Config]]:
+    """Make a command of what its own options configure, with those that all analyses have."""
+
+    def add(configured: Callable[..., Config]) -> Callable[..., Config]:
+        def command(
+            trajectories: TrajectoriesArgument,
+            out: OutOption,
+            um_per_px: UmPerPxOption = None,
+            known_length: KnownLengthOption = None,
+            fps: FpsOption = None,
+            size: ImageSizeOption = None,
+            overwrite: AgainOption = False,
+            **own: Any,
+        ) -> None:
+            check_free(out, name, overwrite=overwrite)
+            table = _read(trajectories, um_per_px, known_length, fps, size)
+            found = Asked(name, configured(**own)).of(table)
+            _write(out, name, found, table, trajectories)
+
+        common = list(inspect.signature(command).parameters.values())
+        mine = inspect.signature(configured).parameters.values()
+        *own, seed = (one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in mine)
+        *rest, overwrite = (
+            one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in common[2:-1]
+        )
+        parameters = [*common[:2], *own, *rest, seed, overwrite]
+        command.__doc__ = configured.__doc__
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        command.__annotations__ = {one.name: one.annotation for one in parameters}
+        app.command(name)(one_line_errors(command))
+        CONFIGURED[name] = configured
+        return configured
+
+    return add
+
+
+@_analysis("flock")
 def flock(
-    trajectories: TrajectoriesArgument,
-    out: OutOption,
     radius: RadiusOption = None,
     radius_diameters: Annotated[
         float | None,
@@ -61,30 +101,19 @@ def flock(
     threshold: Annotated[
         float, typer.Option(metavar="RAD", help="Aligned is what differs by less, rad.")
     ] = PAPER_THRESHOLD,
-    um_per_px: UmPerPxOption = None,
-    known_length: KnownLengthOption = None,
-    fps: FpsOption = None,
-    size: ImageSizeOption = None,
     seed: SeedOption = 0,
-    overwrite: AgainOption = False,
-) -> None:
+) -> Config:
     """Whether droplets go the way of their neighbours, and how much of that is chance."""
-    check_free(out, "flock", overwrite=overwrite)
-    table = _read(trajectories, um_per_px, known_length, fps, size)
-    config = FlockConfig(
+    return FlockConfig(
         radius_px=radius,
         radius_diameters=radius_diameters,
         threshold_rad=threshold,
         seed=seed,
     )
-    _write(out, "flock", analyse_flock(table, config), table, trajectories)
 
 
-@app.command()
-@one_line_errors
+@_analysis("motion")
 def motion(
-    trajectories: TrajectoriesArgument,
-    out: OutOption,
     radius: RadiusOption = None,
     radius_diameters: Annotated[
         float | None,
@@ -93,25 +122,14 @@ def motion(
     lag: Annotated[
         int, typer.Option(metavar="FRAMES", help="Of the non-affine displacement.")
     ] = DEFAULT_LAG,
-    um_per_px: UmPerPxOption = None,
-    known_length: KnownLengthOption = None,
-    fps: FpsOption = None,
-    size: ImageSizeOption = None,
     seed: SeedOption = 0,
-    overwrite: AgainOption = False,
-) -> None:
+) -> Config:
     """Mean square displacement, velocities and their profiles, fluctuations, non-affine motion."""
-    check_free(out, "motion", overwrite=overwrite)
-    table = _read(trajectories, um_per_px, known_length, fps, size)
-    config = MotionConfig(radius_px=radius, radius_diameters=radius_diameters, lag=lag, seed=seed)
-    _write(out, "motion", analyse_motion(table, config), table, trajectories)
+    return MotionConfig(radius_px=radius, radius_diameters=radius_diameters, lag=lag, seed=seed)
 
 
-@app.command()
-@one_line_errors
+@_analysis("structure")
 def structure(
-    trajectories: TrajectoriesArgument,
-    out: OutOption,
     region: Annotated[
         str | None,
         typer.Option(
@@ -130,27 +148,16 @@ def structure(
     persistence: Annotated[
         int, typer.Option(metavar="FRAMES", help="How long a change of neighbours has to last.")
     ] = DEFAULT_PERSISTENCE,
-    um_per_px: UmPerPxOption = None,
-    known_length: KnownLengthOption = None,
-    fps: FpsOption = None,
-    size: ImageSizeOption = None,
     seed: SeedOption = 0,
-    overwrite: AgainOption = False,
-) -> None:
+) -> Config:
     """Pair correlation, Voronoi cells, neighbours, hexatic order, rearrangements (T1)."""
-    check_free(out, "structure", overwrite=overwrite)
-    table = _read(trajectories, um_per_px, known_length, fps, size)
-    config = StructureConfig(
+    return StructureConfig(
         region=region, periodic=periodic, reach=reach, persistence=persistence, seed=seed
     )
-    _write(out, "structure", analyse_structure(table, config), table, trajectories)
 
 
-@app.command()
-@one_line_errors
+@_analysis("flow")
 def flow(
-    trajectories: TrajectoriesArgument,
-    out: OutOption,
     line: Annotated[
         str | None,
         typer.Option(metavar="X1,Y1,X2,Y2", help="Count what passes this line."),
@@ -181,17 +188,10 @@ def flow(
         str | None,
         typer.Option(metavar="X,Y", help="What droplets turn around; default: their mean place."),
     ] = None,
-    um_per_px: UmPerPxOption = None,
-    known_length: KnownLengthOption = None,
-    fps: FpsOption = None,
-    size: ImageSizeOption = None,
     seed: SeedOption = 0,
-    overwrite: AgainOption = False,
-) -> None:
+) -> Config:
     """Passages, intervals and clogs, residence, flow rate, Ca and Re, circulation."""
-    check_free(out, "flow", overwrite=overwrite)
-    table = _read(trajectories, um_per_px, known_length, fps, size)
-    config = FlowConfig(
+    return FlowConfig(
         line=line,
         region=region,
         clog_frames=clog,
@@ -201,25 +201,58 @@ def flow(
         centre=centre,
         seed=seed,
     )
-    _write(out, "flow", analyse_flow(table, config), table, trajectories)
 
 
-@app.command("size")
-@one_line_errors
+@_analysis("size")
 def sizes(
-    trajectories: TrajectoriesArgument,
-    out: OutOption,
-    um_per_px: UmPerPxOption = None,
-    known_length: KnownLengthOption = None,
-    fps: FpsOption = None,
-    size: ImageSizeOption = None,
     seed: SeedOption = 0,
-    overwrite: AgainOption = False,
-) -> None:
+) -> Config:
     """Sizes, polydispersity, Sauter diameter, deformation against the place."""
-    check_free(out, "size", overwrite=overwrite)
-    table = _read(trajectories, um_per_px, known_length, fps, size)
-    _write(out, "size", analyse_size(table, SizeConfig(seed=seed)), table, trajectories)
+    return SizeConfig(seed=seed)
+
+
+def asked_for(texts: Iterable[str]) -> tuple[Asked, ...]:
+    """What texts such as ``size,motion``, ``flow --line 90,0,90,400`` or ``all`` ask for.
+
+    Names with commas between them, or one with the options that its command has. Raises
+    DroptrackError for what cannot be, and for an analysis that is asked for twice.
+    """
+    asked: dict[str, Asked] = {}
+    for text in texts:
+        try:
+            first, *words = shlex.split(text) or [""]
+        except ValueError as error:  # quotes that do not end
+            raise DroptrackError(f"--analyse {text}: {error}") from None
+        names = list(ANALYSES) if first == "all" else [name.strip() for name in first.split(",")]
+        for name in names:
+            if name not in CONFIGURED:
+                known = ", ".join(ANALYSES)
+                raise DroptrackError(f"--analyse {text}: {name!r} is none of {known} and all")
+            if name in asked:
+                raise DroptrackError(f"--analyse {text}: {name} is asked for twice")
+            if words and len(names) > 1:
+                raise DroptrackError(f"--analyse {text}: options are of one analysis each")
+            asked[name] = Asked(name, _configured(name, words))
+    return tuple(asked.values())
+
+
+def _configured(name: str, words: list[str]) -> Config:
+    """What the options of an analysis say; raises DroptrackError."""
+    command = _parser_of(name)
+    try:
+        with command.make_context(name, words) as context:
+            config: Config = command.invoke(context)
+    except USAGE_ERROR as error:
+        said = " ".join(error.format_message().split())
+        raise DroptrackError(f"--analyse {name}: {said}") from None
+    return config
+
+
+@functools.cache
+def _parser_of(name: str) -> Any:
+    parser = new_app()
+    parser.command()(CONFIGURED[name])
+    return typer.main.get_command(parser)
 
 
 def _read(

@@ -3,9 +3,10 @@
 import copy
 import functools
 import inspect
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
@@ -13,10 +14,14 @@ from droptrack.command_line import new_app, one_line_errors, refuse_given
 from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.studies.at_address import place_of
 from droptrack.studies.choice import WorkersConfig
 from droptrack.studies.options import VideoOptions
 from droptrack.studies.run import Planned, Study, do_study, parse_part, plan
 from droptrack.track import configured
+
+if TYPE_CHECKING:  # it takes longer to import than all else here
+    from droptrack.analysis.choice import Asked
 
 app = new_app()
 # options of `droptrack track` that are of live videos, of boxes, or that a batch decides
@@ -25,6 +30,14 @@ NOT_OF_VIDEOS = (
     *("out", "overwrite", "resume"),
 )
 PANEL = "Of each video, as droptrack track has them"
+AnalyseOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME [OPTION...]",
+        help="Analyse the trajectories, as droptrack analyse does: size,motion or all, or one with "
+        "options, such as 'flow --line 90,0,90,400'; repeat for more.",
+    ),
+]
 
 
 def _with_options_of_track(command: Callable[..., None]) -> Callable[..., None]:
@@ -58,7 +71,12 @@ def main(
         ),
     ],
     out: Annotated[
-        Path, typer.Option(help="Folder for the results: a folder a video, and tables.")
+        str,
+        typer.Option(
+            metavar="FOLDER",
+            help="For the results: a folder a video, and tables; or an address such as "
+            "s3://bucket/study.",
+        ),
     ],
     redo: Annotated[bool, typer.Option("--redo", help="Do again what was done already.")] = False,
     dry_run: Annotated[
@@ -84,6 +102,7 @@ def main(
         str, typer.Option(metavar="HH:MM:SS", help="Time of a job; videos outlive it.")
     ] = "04:00:00",
     queue: Annotated[str | None, typer.Option(help="Queue, or partition, of the jobs.")] = None,
+    analyse: AnalyseOption = None,
     **of_videos: Any,
 ) -> None:
     """Track many videos: a folder a video, summary.csv, trajectories/ and index.html.
@@ -92,7 +111,8 @@ def main(
     """
     say = functools.partial(typer.echo, err=True)
     options = options_of_videos()
-    asked = Study(sources=tuple(sources), out=out, options=options.given(context))
+    place = place_of(out)
+    asked = Study(sources=tuple(sources), place=place, options=options.given(context))
     hands = WorkersConfig(
         n=workers,
         scheduler=scheduler,
@@ -115,13 +135,45 @@ def main(
         return
     n_failed = do_study(asked, planned, options, hands, say, whole=share is None)
     if n_failed:
-        raise DroptrackError(f"{n_failed} of {len(planned.jobs)} videos failed: {out}/summary.csv")
-    typer.echo(f"results in {out}")
+        raise DroptrackError(
+            f"{n_failed} of {len(planned.jobs)} videos failed: {place}/summary.csv"
+        )
+    typer.echo(f"results in {place}")
 
 
 def options_of_videos() -> VideoOptions:
     """The options of ``droptrack track`` that each video of a study may have."""
-    return VideoOptions(_of_track(), _configured, NOT_OF_VIDEOS)
+    return VideoOptions(_of_videos(), _configured, _asked_for, NOT_OF_VIDEOS)
+
+
+@functools.cache
+def _of_videos() -> Any:
+    """A command with all options that a video may have; only its options count."""
+    of_analyses = new_app()
+
+    @of_analyses.command()
+    def command(analyse: AnalyseOption = None) -> None:
+        pass
+
+    both: Any = copy.copy(_of_track())
+    both.params = [*both.params, *typer.main.get_command(of_analyses).params]
+    return both
+
+
+def _asked_for(texts: Sequence[str]) -> "tuple[Asked, ...]":
+    """The analyses that are asked for, for any folder to work in; raises DroptrackError."""
+    from droptrack.analyse import asked_for
+    from droptrack.analysis.structure.report import StructureConfig
+
+    asked = []
+    for one in asked_for(texts):
+        config = one.config
+        if isinstance(config, StructureConfig):
+            region = config.region
+            if region and os.path.isfile(region):  # noqa: PTH113  any text may come
+                config = replace(config, region=os.path.abspath(region))  # noqa: PTH100
+        asked.append(replace(one, config=config))
+    return tuple(asked)
 
 
 @functools.cache

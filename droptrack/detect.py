@@ -18,18 +18,22 @@ from droptrack.options import (
     ContoursOption,
     DarkOption,
     DiameterOption,
+    KnownLengthOption,
     LevelsOption,
     MaxIouOption,
     NamesOption,
     NormaliseOption,
     OverwriteOption,
+    PixelsOnlyOption,
     PrecisionOption,
     RegionOption,
     ScaleOption,
     ScoreOption,
     ShapeOption,
     SizeOption,
+    UmPerPxOption,
     WeightsOption,
+    units_from,
 )
 from droptrack.pipeline.config import MAX_IOU, MIN_SCORE, ImagesConfig
 from droptrack.pipeline.detect_images import detect_images
@@ -62,6 +66,9 @@ def main(
     names: NamesOption = None,
     cells: CellsOption = None,
     contours: ContoursOption = None,
+    um_per_px: UmPerPxOption = None,
+    known_length: KnownLengthOption = None,
+    pixels_only: PixelsOnlyOption = False,
     overwrite: OverwriteOption = False,
     no_images: Annotated[
         bool, typer.Option("--no-images", help="Write no annotated images.")
@@ -90,6 +97,8 @@ def main(
         contours=contours,
         annotated=not no_images,
         overwrite=overwrite,
+        units=units_from(um_per_px, known_length, pixels_only=pixels_only),
+        pixels_only=pixels_only,
     )
     done = detect_images(config, functools.partial(typer.echo, err=True))
     done.report.print(all_in=done.folder / "report.json")

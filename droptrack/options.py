@@ -13,8 +13,8 @@ from droptrack.errors import DroptrackError
 WeightsOption = Annotated[
     Path | None,
     typer.Option(
-        help="Darknet weights (.weights), or footage: the bundled model for what laboratories "
-        "film; default: the bundled model for bright droplets of simulations.",
+        help="Darknet weights (.weights), or one of the bundled models: simulations (bright, "
+        "filled droplets), footage (droplets as laboratories film them).",
     ),
 ]
 CfgOption = Annotated[
@@ -36,7 +36,7 @@ ScaleOption = Annotated[
     typer.Option(
         metavar="auto|NUMBER",
         help="Px of the network's input for a px of the frames; auto: what suits the droplets of "
-        "some of the frames. Default: auto with --weights footage, else the cfg's size.",
+        "some of the frames. Default: auto for footage, else the cfg's size.",
     ),
 ]
 DiameterOption = Annotated[
@@ -137,15 +137,27 @@ KnownLengthOption = Annotated[
         help="Instead: two places in the image, px, and the micrometres between them.",
     ),
 ]
+PixelsOnlyOption = Annotated[
+    bool,
+    typer.Option("--pixels-only", help="No micrometres, though the file says a pixel's size."),
+]
 FpsOption = Annotated[
     float | None, typer.Option(help="Frames a second when it was filmed; default: the file's.")
 ]
 
 
-def units_from(um_per_px: float | None, known_length: str | None, fps: float | None) -> Units:
-    """What the three options say; raises DroptrackError where they contradict each other."""
+def units_from(
+    um_per_px: float | None,
+    known_length: str | None,
+    fps: float | None = None,
+    *,
+    pixels_only: bool = False,
+) -> Units:
+    """What the options say; raises DroptrackError where they contradict each other."""
     if known_length is not None:
         if um_per_px is not None:
             raise DroptrackError("give --um-per-px or --known-length, not both")
         um_per_px = parse_known_length(known_length)
+    if pixels_only and um_per_px is not None:
+        raise DroptrackError("give a pixel's size or --pixels-only, not both")
     return Units(um_per_px=um_per_px, fps=fps)

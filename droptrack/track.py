@@ -28,6 +28,7 @@ from droptrack.options import (
     NamesOption,
     NormaliseOption,
     OverwriteOption,
+    PixelsOnlyOption,
     PlotsOption,
     PrecisionOption,
     ReconnectOption,
@@ -138,10 +139,7 @@ def configured(
     resume: ResumeOption = False,
     um_per_px: UmPerPxOption = None,
     known_length: KnownLengthOption = None,
-    pixels_only: Annotated[
-        bool,
-        typer.Option("--pixels-only", help="No micrometres, though the file says a pixel's size."),
-    ] = False,
+    pixels_only: PixelsOnlyOption = False,
     fps: FpsOption = None,
     tracker: Annotated[
         TrackerName, typer.Option(help="The tracker made for droplets, or DeepSORT.")
@@ -181,9 +179,7 @@ def configured(
     ] = TrackerConfig.max_iou_distance,
 ) -> TrackingConfig | DetectionsConfig:
     """Track the droplets of a video: trajectories.csv, tracked.mp4, paths.png, report.json."""
-    units = units_from(um_per_px, known_length, fps)
-    if pixels_only and units.um_per_px is not None:
-        raise DroptrackError("give a pixel's size or --pixels-only, not both")
+    units = units_from(um_per_px, known_length, fps, pixels_only=pixels_only)
     tracking = TrackerConfig(
         name=tracker,
         max_age=max_age,

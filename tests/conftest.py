@@ -56,6 +56,27 @@ def sine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def four_cores(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four cores in a sheared shell, simulated for 15,000 steps: a tenth of a turn, 31 frames."""
+    pytest.importorskip("numba")
+    return _simulated(tmp_path_factory, "shear", "--cores", "4", "--steps", "15000")
+
+
+@pytest.fixture(scope="session")
+def nineteen_droplets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Nineteen droplets that pass a constriction, simulated."""
+    pytest.importorskip("numba")
+    return _simulated(tmp_path_factory, "constriction")
+
+
+def _simulated(tmp_path_factory: pytest.TempPathFactory, *arguments: str) -> Path:
+    folder = tmp_path_factory.mktemp(arguments[0])
+    result = CliRunner().invoke(simulate, [*arguments, "--out", str(folder)])
+    assert result.exit_code == 0, result.output
+    return folder
+
+
 def cells(points: np.ndarray, film: float, free: float) -> list[np.ndarray]:
     """Radii (128,) of polygonal droplets around points, a film of liquid apart, corners rounded."""
     angles = np.arange(128) * 2 * np.pi / 128

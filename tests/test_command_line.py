@@ -5,12 +5,15 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import typer
 
+from droptrack.__main__ import COMMANDS
 from droptrack.data.trajectories import read_trajectories
 from droptrack.data.video import Video
 
@@ -117,3 +120,32 @@ def test_names_that_are_no_utf8_are_read_and_written(sine: Path, tmp_path: Path)
     assert "bung:1.avi, 1200 x 600 px" in about["video"]
     again = run("track", str(video), "--out", str(folder / "a:b"), *options)
     assert b"--overwrite replaces them" in again.stderr
+
+
+def test_the_help_says_of_each_command_what_its_own_help_says() -> None:
+    for name, line in COMMANDS.items():
+        command = typer.main.get_command(import_module(f"droptrack.{name}").app)
+        assert " ".join((command.help or "").split("\n\n")[0].split()) == line
+
+
+def imported_by(*words: str) -> set[str]:
+    """The packages that a command imports."""
+    script = (
+        "import atexit, runpy, sys\n"
+        f"sys.argv = ['droptrack', *{list(words)!r}]\n"
+        "atexit.register(lambda: print('\\nimported', *sys.modules))\n"
+        "runpy.run_module('droptrack', run_name='__main__')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, check=False, cwd=ROOT, text=True
+    )
+    last = done.stdout.splitlines()[-1].split()
+    assert last[0] == "imported", done.stderr
+    return {name.partition(".")[0] for name in last[1:]}
+
+
+def test_nothing_is_imported_before_it_is_needed() -> None:
+    assert not imported_by("--help") & {"numpy", "cv2", "scipy", "matplotlib"}
+    heavy = {"scipy", "numba", "openvino", "onnx", "torch", "matplotlib", "pandas", "dask"}
+    for words in (("track", "--help"), ("track", "no-such-video.avi"), ("batch", "--help")):
+        assert not imported_by(*words) & heavy, words

@@ -10,7 +10,7 @@ import numpy as np
 
 from data_gen.scenes.distances import Patch
 from data_gen.scenes.surroundings import texture
-from droptrack.data.arrays import Float32s, Floats
+from droptrack.data.arrays import Float32s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,13 +120,3 @@ def paint(
     if look.texture and min(view.shape) > 8:
         levels += inside * texture(rng, view.shape, 12) * np.float32(look.texture)
     view += levels
-
-
-def small_things(centre: Floats, radius: float, rng: np.random.Generator) -> Floats:
-    """Discs (K, 3) x, y, radius px inside a droplet: cells, particles, dirt."""
-    n = int(rng.integers(1, 6))
-    size = radius * rng.uniform(0.04, 0.3, n)
-    away = (radius * 0.85 - size) * np.sqrt(rng.random(n))
-    angle = rng.uniform(0, 2 * np.pi, n)
-    places = centre + away[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.column_stack([places, size])

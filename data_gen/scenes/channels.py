@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_gen.scenes.distances import Patch, patch_around, stadium_distance
+from data_gen.scenes.inclusions import paint_suspended
 from data_gen.scenes.outlines import SHAPE, Outline, log_uniform
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
 from data_gen.scenes.surroundings import draw_line, texture
 from droptrack.data.arrays import Float32s, Floats
 
 REACH = 1.1 * WIDTH  # px from a channel's middle, beyond which nothing of it is in the image
+SUSPENSIONS = 0.4  # share of images of plugs with cells or beads in the liquid
 JOINED = 0.75  # share of images whose channels open into one another
 
 
@@ -53,8 +55,14 @@ class Channel:
         return np.asarray(np.maximum(sideways, before), np.float32)
 
 
-def plugs(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
-    """Plugs one after the other in one to three parallel channels, with junctions."""
+def plugs(
+    rng: np.random.Generator, canvas: Float32s, *, suspensions: float = SUSPENSIONS
+) -> Iterator[Outline]:
+    """Plugs one after the other in one to three parallel channels, with junctions.
+
+    `suspensions`: share of images with cells or beads in the liquid. Without plugs they could be
+    droplets.
+    """
     width = log_uniform(rng, 22, 330)
     angle = float(rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)], p=[0.6, 0.15, 0.25]))
     middle = rng.uniform(0.25, 0.75, 2) * [WIDTH, HEIGHT]
@@ -72,8 +80,11 @@ def plugs(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     channels = lanes + sides
     layers = [channels] if rng.random() < JOINED else [[channel] for channel in channels]
     draw_walls(canvas, layers, walls, inside)
-    for channel in lanes:
-        yield from _train(rng, channel, junction)
+    trains = [plug for channel in lanes for plug in _train(rng, channel, junction)]
+    if any(plug.labelled for plug in trains) and rng.random() < suspensions:
+        distance = np.minimum.reduce([channel.distance() for channel in channels])
+        paint_suspended(canvas, distance, width, rng)
+    yield from trains
 
 
 def _side_channels(rng: np.random.Generator, main: Channel) -> tuple[list[Channel], float | None]:
@@ -99,7 +110,7 @@ def _side_channels(rng: np.random.Generator, main: Channel) -> tuple[list[Channe
 def empty(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     """Channels, lines and structures without droplets."""
     if rng.random() < 0.7:
-        for _ in plugs(rng, canvas):
+        for _ in plugs(rng, canvas, suspensions=0):
             pass  # nothing is drawn of them, only their channels
     _draw_structures(rng, canvas)
     yield from ()
@@ -140,7 +151,8 @@ def forming_plug(
 
     The head is up to `height` px high, half of it; where the thread is as high, there is none.
     """
-    outline = next(_plug(channel.angle, centre, half, 1.0, sides, labelled=False), None)
+    whole = _plug(channel.angle, centre, half, 1.0, sides, labelled=False, margin=height)
+    outline = next(whole, None)
     if outline is None:
         return
     if half[1] > 0.8 * height:
@@ -156,11 +168,18 @@ def forming_plug(
 
 
 def _plug(
-    angle: float, centre: Floats, half: Floats, roundness: float, sides: float, *, labelled: bool
+    angle: float,
+    centre: Floats,
+    half: Floats,
+    roundness: float,
+    sides: float,
+    *,
+    labelled: bool,
+    margin: float = 4.0,
 ) -> Iterator[Outline]:
-    """One plug of half sizes (2,) px, if any of it is in the image."""
+    """One plug of half sizes (2,) px, and `margin` px around it, if any of it is in the image."""
     radius = float(min(half)) * roundness
-    patch = patch_around(SHAPE, centre, float(np.hypot(*half)) + 4)
+    patch = patch_around(SHAPE, centre, float(np.hypot(*half)) + margin)
     if patch.is_empty:
         return
     distance = stadium_distance(patch, centre, half, radius, angle)

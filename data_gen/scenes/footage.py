@@ -16,9 +16,10 @@ from collections.abc import Callable, Iterator
 import cv2
 import numpy as np
 
-from data_gen.scenes.appearance import paint, random_look, small_things
+from data_gen.scenes.appearance import paint, random_look
 from data_gen.scenes.channels import empty, plugs
-from data_gen.scenes.distances import box_of, ellipse_distance, patch_around
+from data_gen.scenes.distances import box_of
+from data_gen.scenes.inclusions import paint_inside
 from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered
 from data_gen.scenes.scene_kinds import Scene
 from data_gen.scenes.surroundings import add_dirt, add_text, background, field_stop, vignette
@@ -41,7 +42,7 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     for outline in ARRANGEMENTS[name](rng, canvas):
         paint(canvas, outline.patch, outline.distance, look, outline.radius, outline.rim, rng)
         if rng.random() < look.inclusions:
-            _paint_small_things(canvas, outline, rng)
+            paint_inside(canvas, outline, rng)
         box = visible_box(outline, stop)
         if box is not None:
             boxes.append(box)
@@ -71,19 +72,6 @@ def visible_box(outline: Outline, stop: Bools | None) -> Floats | None:
     if edges is None or (edges[2:] - edges[:2]).min() < MIN_SIDE:
         return None
     return np.concatenate([(edges[:2] + edges[2:]) / 2, edges[2:] - edges[:2]])
-
-
-def _paint_small_things(canvas: Float32s, outline: Outline, rng: np.random.Generator) -> None:
-    """Cells or particles inside a droplet: they have no labels."""
-    tone = float(rng.normal(0, 45))
-    for x, y, size in small_things(outline.centre, min(outline.radius, 60.0), rng).tolist():
-        patch = patch_around(SHAPE, np.array([x, y]), size + 3)
-        if patch.is_empty:
-            continue
-        distance = ellipse_distance(patch, np.array([x, y]), max(size, 0.8), max(size, 0.8), 0)
-        ring = np.exp(-((distance / np.float32(1.2)) ** 2))
-        spot = np.clip(0.5 - distance, 0, 1) * np.float32(0.3)
-        canvas[patch.rows, patch.columns] += (ring + spot) * np.float32(tone)
 
 
 def _photograph(rng: np.random.Generator, canvas: Float32s) -> Pixels:

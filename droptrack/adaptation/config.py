@@ -18,7 +18,8 @@ class AdaptationConfig(DetectorConfig):
     `video`: a file, or a folder of images, which may be unrelated; `reading`: how it is read.
     `labels`: a folder of images with Darknet's label files beside them, which count most. `out`:
     the folder for everything. `resume`: an adaptation that was ended too early. The rest: how long
-    and how to train. `weights` and `cfg` are what it starts from.
+    and how to train. `weights` and `cfg` are what it starts from; by default, the bundled model for
+    footage.
     """
 
     video: str

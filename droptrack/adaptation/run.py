@@ -38,7 +38,7 @@ from droptrack.data.report import Report, Value
 from droptrack.data.set_up import write_set_up
 from droptrack.detection.scale import AUTO, STRIDE, Canvas
 from droptrack.errors import DroptrackError
-from droptrack.network.bundled import find_network
+from droptrack.network.bundled import FOOTAGE, find_network
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options, yolo_heads
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.notes import Say, to_stderr
@@ -80,6 +80,8 @@ def adapt(config: AdaptationConfig, say: Say = to_stderr) -> Adaptation:
     learned from, before any weights are written.
     """
     began = time.perf_counter()
+    if config.weights is None and config.cfg is None:
+        config = replace(config, weights=Path(FOOTAGE))
     wanted = _check(config)
     found = _look(config, say)
     config.out.mkdir(parents=True, exist_ok=True)

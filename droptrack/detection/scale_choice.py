@@ -3,8 +3,8 @@
 A network finds droplets of some 10 to 150 px of its input, and says nothing, or something else at
 each scale, of others. So a droplet is what the network sees again at other scales: its evidence is
 the mean of its scores at all scales that show it in a size the network knows. The best scale is the
-one whose detections have the most evidence; each counts by its diameter, since small things are
-often no droplets.
+one whose detections have the most evidence; each counts by its diameter, and what is much smaller
+than most has to be seen more surely, since cells and dirt are no droplets.
 
 Frames are looked at in tiles, so that one compiled network serves all scales, and of a large input
 only some tiles are, so that the choice takes about as long for all videos.
@@ -36,11 +36,13 @@ MIN_SCORE = 0.1  # of a detection that counts at all
 SURE = 0.4  # of one that a user would get
 SAME_IOU = 0.5  # of two boxes of one droplet
 DOUBT = 0.35  # evidence below which a detection does harm
+SMALL = 0.4  # of most droplets' diameter, below which that evidence is
+SMALL_DOUBT = 0.65
 CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
 MIN_INSIDE = 0.8  # share of a box's area
 MIN_SHOWN = 3  # scales that full evidence takes
 MIN_SHARE = 0.2  # weight of the evidence at all scales, against that in the tiles of one
-TOLERANCE = 0.03  # between the qualities of scales that are as good
+TOLERANCE = 0.025  # between the qualities of scales that are as good
 
 
 @dataclass(frozen=True)
@@ -77,26 +79,24 @@ class _Look:
 def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) -> ScaleChoice:
     """The best scale for frames (H, W, 3) of one size; the default where nothing is seen.
 
-    `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. The
-    default is also taken where it is as good as the best, within TOLERANCE; else, of those that
-    are, the one in the middle.
+    `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. Of
+    neighbouring scales as good as the best, within TOLERANCE, it is the one in the middle, and the
+    finer one of two, which draws tighter boxes.
     """
+    seen = [_seen(frame, detector, default) for frame in frames]
+    diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
+    small = SMALL * _typical(diameters)
     gained: dict[float, float] = {}
     possible: dict[float, float] = {}
-    diameters = [np.zeros(0)]
-    for frame in frames:
-        height, width = frame.shape[:2]
-        looks = _look(frame, detector, default)
-        droplets, scores = _merged(looks, (width, height))
-        evidence = _evidence(droplets, scores, looks, (width, height))
-        real = evidence > DOUBT
-        diameters.append(np.sqrt(droplets[real, 2:].prod(axis=1)))
-        for k, (scale, look) in enumerate(looks.items()):
-            counted = look.covers(droplets, (width, height), MARGIN_PX / scale)
-            worth = (evidence - DOUBT) * np.sqrt(droplets[:, 2:].prod(axis=1))
-            seen = counted & (scores[k] >= SURE)
-            gained[scale] = gained.get(scale, 0.0) + float(worth[seen].sum())
-            possible[scale] = possible.get(scale, 0.0) + float(worth[counted & real].sum())
+    for one in seen:
+        worth = one.evidence - np.where(one.diameters < small, SMALL_DOUBT, DOUBT)
+        worth *= one.diameters
+        for k, (scale, look) in enumerate(one.looks.items()):
+            counted = look.covers(one.boxes, one.size, MARGIN_PX / scale)
+            sure = counted & (one.scores[k] >= SURE)
+            gained[scale] = gained.get(scale, 0.0) + float(worth[sure].sum())
+            real = counted & (worth > 0)
+            possible[scale] = possible.get(scale, 0.0) + float(worth[real].sum())
     most = max(possible.values(), default=0.0)
     if most <= 0:
         return ScaleChoice(default, dict.fromkeys(gained, 0.0))
@@ -104,11 +104,63 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         scale: gained[scale] / ((1 - MIN_SHARE) * possible[scale] + MIN_SHARE * most)
         for scale in gained
     }
-    best = max(quality.values())
-    good = [scale for scale in quality if quality[scale] >= best - TOLERANCE]
-    own = [scale for scale in good if math.isclose(scale, default)]
-    scale = own[0] if own else good[(len(good) - 1) // 2]
-    return ScaleChoice(scale, quality, np.concatenate(diameters))
+    return ScaleChoice(_middle_of_the_best(quality), quality, diameters)
+
+
+def _middle_of_the_best(quality: dict[float, float]) -> float:
+    """The middle of the best scale and of its neighbours that are as good.
+
+    >>> _middle_of_the_best({0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99})
+    1.4
+    """
+    scales = list(quality)
+    good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]
+    best = scales.index(max(quality, key=quality.__getitem__))
+    first = best
+    while first > 0 and good[first - 1]:
+        first -= 1
+    last = best
+    while last < len(scales) - 1 and good[last + 1]:
+        last += 1
+    return scales[(first + last + 1) // 2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """What may be droplets of a frame of `size` (width, height) px, by all `looks` together.
+
+    Boxes (N, 4) px, their scores (scales, N) at each scale, and their evidence (N,).
+    """
+
+    size: tuple[int, int]
+    looks: dict[float, _Look]
+    boxes: Floats
+    scores: Floats
+    evidence: Floats
+
+    @property
+    def diameters(self) -> Floats:
+        """sqrt(w h), (N,) px."""
+        return np.asarray(np.sqrt(self.boxes[:, 2:].prod(axis=1)))
+
+
+def _seen(frame: Frame, detector: Detector, default: float) -> _Seen:
+    size = (frame.shape[1], frame.shape[0])
+    looks = _look(frame, detector, default)
+    boxes, scores = _merged(looks, size)
+    evidence = _evidence(boxes, scores, looks, size)
+    return _Seen(size=size, looks=looks, boxes=boxes, scores=scores, evidence=evidence)
+
+
+def _typical(diameters: Floats) -> float:
+    """The diameter up to which half of the area of all is; 0 of none.
+
+    >>> _typical(np.array([1.0, 1, 1, 1, 10, 10, 30]))
+    30.0
+    """
+    ordered = np.sort(diameters)
+    areas = np.cumsum(ordered**2)
+    return float(ordered[np.searchsorted(areas, areas[-1] / 2)]) if len(ordered) else 0.0
 
 
 def scales_for(width: int, height: int, default: float) -> list[float]:

@@ -15,7 +15,6 @@ from types import ModuleType
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Bools, Floats, Pixels, Rows
@@ -152,6 +151,8 @@ def nearest_boxes(boxes: Floats) -> Rows:
     """The nearest other boxes (N, K) of each, -1 where there are no more."""
     if not len(boxes):
         return np.zeros((0, 1), np.int64)
+    from scipy.spatial import cKDTree  # of runs that need it
+
     k = min(NEIGHBOURS + 1, len(boxes))
     _, near = cKDTree(boxes[:, :2]).query(boxes[:, :2], range(1, k + 1))
     near = np.asarray(near, np.int64)

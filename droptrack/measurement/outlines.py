@@ -6,8 +6,8 @@ unlike its surroundings is where the level passes half of the difference. Where 
 touch, the film between them is not as dark as the surroundings, and half would lie too far outside:
 two edges of the shape (1 - tanh(x/w))/2 whose sum falls by a share d of the height, their film in
 the middle, lie where it has fallen to 1 - d/(1 + d^2). The edge of a droplet with a ring is the
-ring's outside flank, at half of the ring's height; of a ring that runs into the neighbour's, the
-ring's middle.
+ring's outside flank, at half of the ring's height; where the ring runs into a neighbour's, or into
+a wall, it is as far from the ring's inside flank as around the rest of the droplet.
 """
 
 from dataclasses import dataclass
@@ -35,11 +35,20 @@ MIN_FREE = 0.25  # share of rays that must reach the surroundings for a ring to 
 MIN_FREE_FILLED = 0.5  # the same where the droplet differs from its surroundings in any case
 MIN_DEPTH = 0.15  # share of the height by which a film must be darker than its droplets
 MIN_RISE = 0.5  # height of what is behind a film
-MIN_RISEN = 0.5  # share of rays between crowded droplets on which there is something behind a film
-MIN_PEAK = 0.3  # of the ring's height elsewhere that a ray's must have
+# share of rays between crowded droplets on which there is something else: where most of the others,
+# those that stand free, have rings; and where they have none
+MIN_RISEN_RINGS, MIN_RISEN = 0.05, 0.5
+BARE = 0.75  # quantile of levels of which some are half on a dark ring: what is between rings
+MIN_PEAK = 0.3  # of the ring's height elsewhere that a ray's must have,
+FIRST_PEAK = 0.8  # and from which on it is the ring, though what is behind it may be higher
+SECOND = 0.5  # of the higher of a bright and a dark ring: the other counts if it lies further out
+MIN_FALL = 0.5  # of a ring's height by which a gap behind it must be below it, to be one
+LOOK_PX = 2  # how much further a gap before a neighbour is looked for, and how much less the ring
+MIN_WIDTHS = 0.125  # share of rays that must show both flanks of a ring, for its width
 SETTINGS = (
     *(REACH, MARGIN_PX, INNER, BEYOND_PX, NESTED, CORE, MIN_CONTRAST, RING_SHARE, NOISE),
-    *(MIN_FREE, MIN_FREE_FILLED, MIN_DEPTH, MIN_RISE, MIN_RISEN, MIN_PEAK),
+    *(MIN_FREE, MIN_FREE_FILLED, MIN_DEPTH, MIN_RISE, MIN_RISEN_RINGS, MIN_RISEN, BARE, MIN_PEAK),
+    *(FIRST_PEAK, SECOND, MIN_FALL, float(LOOK_PX), MIN_WIDTHS),
 )
 SAMPLES_AT_ONCE = 2_000_000
 # what limits a ray
@@ -93,27 +102,54 @@ def trace_outlines(
     contiguous = [np.ascontiguousarray(one) for one in (boxes, origins, levels, neighbours)]
     if min(grey.shape) > 1 and (loops := load_loops()) is not None:
         loops.trace(grey, *contiguous, DIRECTIONS, loops.Settings(*SETTINGS), radii, states, rings)
-    elif min(grey.shape) > 1:
-        longest = REACH * np.hypot(boxes[:, 2], boxes[:, 3]) + MARGIN_PX
-        at_once = max(1, int(SAMPLES_AT_ONCE / 2 / N_RAYS / longest.max(initial=1)))
-        for start in range(0, n, at_once):
-            rows = np.arange(start, min(start + at_once, n))
-            radii[rows], states[rows], rings[rows] = _trace(
-                grey, boxes, rows, origins[rows], levels[rows], neighbours[rows]
-            )
+    elif min(grey.shape) > 1 and n:
+        radii, states, rings = _trace_all(grey, boxes, origins, levels, neighbours)
     return Outlines(origins=origins, radii=radii, cut=states == CUT, rings=rings.astype(bool))
 
 
+def _trace_all(
+    grey: Pixels, boxes: Floats, origins: Floats, levels: Rows, neighbours: Rows
+) -> tuple[Floats, Pixels, Pixels]:
+    """Radii, states (N, K) and rings (N,): first of droplets of which a part stands free.
+
+    Where most of these have rings, less is asked of the others.
+    """
+    n = len(boxes)
+    radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
+    rings = np.zeros(n, np.uint8)
+    first, lasts, limits = _ends(grey, boxes, np.arange(n), origins, neighbours)
+    free = ((lasts[1] > first) & (limits[1] == FREE)).sum(axis=1) >= MIN_FREE * N_RAYS
+    longest = REACH * np.hypot(boxes[:, 2], boxes[:, 3]) + MARGIN_PX
+    at_once = max(1, int(SAMPLES_AT_ONCE / 2 / N_RAYS / longest.max()))
+    for turn in range(2):
+        alike = 2 * int(rings.sum()) > int(free.sum())
+        some = np.flatnonzero(~free | (alike & (rings == 0)) if turn else free)
+        for start in range(0, len(some), at_once):
+            rows = some[start : start + at_once]
+            radii[rows], states[rows], rings[rows] = _trace(
+                *(grey, boxes, rows, origins[rows], levels[rows], neighbours[rows]),
+                min_risen=MIN_RISEN_RINGS if alike else MIN_RISEN,
+            )
+    return radii, states, rings
+
+
 def _trace(
-    grey: Pixels, boxes: Floats, rows: Rows, origins: Floats, levels: Rows, neighbours: Rows
+    grey: Pixels,
+    boxes: Floats,
+    rows: Rows,
+    origins: Floats,
+    levels: Rows,
+    neighbours: Rows,
+    *,
+    min_risen: float,
 ) -> tuple[Floats, Pixels, Bools]:
     """Radii, states (M, K) and rings (M,) of boxes `rows`."""
     first, lasts, limits = _ends(grey, boxes, rows, origins, neighbours)
-    halves = np.arange(2 * int(lasts.max(initial=0)) + 2) / 2
+    halves = np.arange(2 * (int(lasts.max(initial=0)) + LOOK_PX) + 2) / 2
     places = origins[:, None, None] + halves[:, None] * DIRECTIONS[:, None]
     levels_there = _levels_at(grey, places)
     profiles = levels_there[..., ::2]
-    rings, scales = _rings(profiles, first, lasts[1], limits[1], levels)
+    rings, scales = _rings(profiles, first, lasts[1], limits[1], levels, min_risen)
     last, limits = (np.where(rings[:, None], both[1], both[0]) for both in (lasts, limits))
     scales = np.where(rings[:, None], scales, levels[:, :2])
     signs = np.where(scales[:, 1] < 0, -1, 1)
@@ -128,8 +164,12 @@ def _trace(
         ends = first[droplet, ray], last[droplet, ray]
         scale = (signs[:, None] * scales)[droplet]
         if kind is rings:
-            beside = limits[droplet, ray] == NEIGHBOUR
-            radii[droplet, ray] = _ring_edges(heights, *ends, beside, scale)
+            flanks = np.full((2, *radii.shape), np.nan)
+            end = ends[1] + LOOK_PX * (limits[droplet, ray] == NEIGHBOUR)
+            inside = signs[droplet] * levels[droplet, 2]
+            flanks[:, droplet, ray] = _ring_flanks(heights, *ends, end, scale, inside)
+            inner, outer = flanks[0, rings], flanks[1, rings]
+            radii[rings] = _with_shared(inner, outer, limits[rings] == IMAGE)
         else:
             radii[droplet, ray] = _filled_edges(heights, *ends, scale)
     states = np.where(np.isfinite(radii), SEEN, np.where(limits == IMAGE, CUT, UNSEEN))
@@ -223,15 +263,16 @@ def _levels_at(grey: Pixels, places: Floats) -> Floats:
 
 
 def _rings(
-    profiles: Floats, first: Rows, last: Rows, limits: Rows, levels: Rows
+    profiles: Floats, first: Rows, last: Rows, limits: Rows, levels: Rows, min_risen: float
 ) -> tuple[Bools, Floats]:
     """Which droplets (M,) have a ring; surroundings, and how far the ring is off them, (M, 2)."""
     steps = np.arange(profiles.shape[2])
     inside = (steps >= first[..., None]) & (steps <= last[..., None])
     rings, scales = np.zeros(len(profiles), bool), np.zeros((len(profiles), 2))
     outer = np.take_along_axis(profiles, last[..., None], axis=2)[..., 0]
-    highest = np.where(inside, profiles, -np.inf).max(axis=2)
-    lowest = np.where(inside, profiles, np.inf).min(axis=2)
+    upper, lower = (np.where(inside, profiles, far) for far in (-np.inf, np.inf))
+    highest, lowest = upper.max(axis=2), lower.min(axis=2)
+    at_highest, at_lowest = upper.argmax(axis=2), lower.argmin(axis=2)
     for m, (_, contrast, middle) in enumerate(levels.tolist()):
         some = last[m] > first[m]
         free = some & (limits[m] == FREE)
@@ -240,19 +281,30 @@ def _rings(
             free = some
         if free.sum() < MIN_FREE * N_RAYS:
             continue
-        crowded = not alone and contrast != 0
-        if crowded:  # rings, if there is something else between them
+        ends = outer[m, free]
+        outside = float(np.median(ends)) if alone else middle
+        if not alone and contrast != 0:  # rings, if there is something else between them
+            ends = np.take_along_axis(profiles[m], last[m, :, None] - 1, axis=1)[free, 0]
             far, half = (lowest if contrast > 0 else highest)[m, free], MIN_RISE * abs(contrast)
-            risen = (np.abs(middle - far) >= half) & (np.abs(outer[m, free] - far) >= half)
-            if risen.mean() < MIN_RISEN:
+            risen = (np.abs(middle - far) >= half) & (np.abs(ends - far) >= half)
+            if risen.mean() < min_risen:
                 continue
-        outside = float(np.median(outer[m, free])) if alone or crowded else middle
+            ends = ends[risen]  # some are half on a ring
+            outside = float(np.quantile(ends, BARE if contrast > 0 else 1 - BARE))
         top, bottom = float(np.median(highest[m, free])), float(np.median(lowest[m, free]))
         over, under = top - max(middle, outside), min(middle, outside) - bottom
-        noise = NOISE * np.median(np.abs(outer[m, free] - np.median(outer[m, free])))
-        if max(over, under) - noise >= max(MIN_CONTRAST, RING_SHARE * abs(middle - outside)):
-            rings[m] = True
-            scales[m] = outside, (top if over > under else bottom) - outside
+        noise = NOISE * float(np.median(np.abs(ends - np.median(ends))))
+        if min_risen < MIN_RISEN and not alone:
+            noise = 0.0
+        least = max(MIN_CONTRAST, RING_SHARE * abs(middle - outside))
+        if max(over, under) - noise < least:
+            continue
+        bright = over > under
+        if min(over, under) >= max(least + noise, SECOND * max(over, under)):
+            further = at_highest[m, free] - at_lowest[m, free]
+            bright = bool(np.median(further) > 0)  # the outer one of two rings
+        rings[m] = True
+        scales[m] = outside, (top if bright else bottom) - outside
     return rings, scales
 
 
@@ -276,19 +328,83 @@ def _filled_edges(heights: Floats, first: Rows, last: Rows, scales: Floats) -> F
     return np.where((depth < MIN_DEPTH) | (low >= limit), np.nan, edges)
 
 
-def _ring_edges(heights: Floats, first: Rows, last: Rows, beside: Bools, scales: Floats) -> Floats:
-    """The outside flanks (R,), px, of droplets' rings, as `_filled_edges`.
+def _ring_flanks(
+    heights: Floats, first: Rows, last: Rows, end: Rows, scales: Floats, inside: Floats
+) -> tuple[Floats, Floats]:
+    """The inside and outside flanks (R,), px, of droplets' rings; NaN where there is none.
 
-    Rings `beside` others (R,) may run into them.
+    As `_filled_edges`; a gap behind the ring is looked for up to `end` (R,); `inside` (R,) is the
+    height of what the rings are around.
     """
     base, ring = scales.T
-    peak, place, low = _lowest(-heights, first, last)
-    limit = base + (-low - base) / 2
-    shared = np.where(beside & (first < peak) & (peak < last), place, np.nan)
-    flank = _crossings(heights, last - 1, limit)
-    flank = np.where(flank >= first, flank, np.nan)
-    edges = np.where(_at(heights, 2 * last) >= limit, shared, flank)
-    return np.where(-low - base < MIN_PEAK * ring, np.nan, edges)
+    peak, top = _first_peak(heights, first, np.maximum(2 * last - end, first), scales)
+    half = base + (1 - MIN_FALL) * (top - base)
+    steps, px = np.arange(heights.shape[1] // 2), heights[:, ::2]
+    fallen = (steps > peak[:, None]) & (steps <= end[:, None]) & (px < half[:, None])
+    fall = np.where(fallen.any(axis=1), fallen.argmax(axis=1), end + 1)
+    risen = (steps > fall[:, None]) & (steps <= end[:, None]) & (px >= half[:, None])
+    rise = np.where(risen.any(axis=1), risen.argmax(axis=1), end + 1)
+    halves = np.arange(heights.shape[1])
+    gap = (halves >= 2 * fall[:, None]) & (halves < 2 * rise[:, None])
+    gap &= halves <= 2 * end[:, None]
+    lowest = np.where(gap, heights, top[:, None]).min(axis=1)
+    depth = np.minimum((top - lowest) / np.maximum(top - base, 1e-9), 1)
+    share = np.where(rise <= end, 1 - depth / (1 + depth**2), 0.5)
+    limit = base + share * (top - base)
+    outer = _crossings(heights, np.minimum(fall, end) - 1, limit)
+    high = top - base >= MIN_PEAK * ring
+    outer = np.where(high & (fall <= end) & (outer >= first), outer, np.nan)
+    inner = _inner_crossings(heights, first, peak, inside + (top - inside) / 2)
+    return np.where(high, inner, np.nan), outer
+
+
+def _first_peak(heights: Floats, first: Rows, last: Rows, scales: Floats) -> tuple[Rows, Floats]:
+    """The px of rays (R, 2 S) where a ring is the highest, and how high it is there.
+
+    Of the first place that is about as high as the ring, else the highest of all.
+    """
+    base, ring = scales.T
+    steps, px = np.arange(heights.shape[1] // 2), heights[:, ::2]
+    within = (steps >= first[:, None]) & (steps <= last[:, None])
+    high = within & (px >= (base + FIRST_PEAK * ring)[:, None])
+    start = np.where(high.any(axis=1), high.argmax(axis=1), first)
+    low = (steps > start[:, None]) & (px < (base + (1 - MIN_FALL) * ring)[:, None])
+    low &= high.any(axis=1)[:, None]
+    stop = np.where(low.any(axis=1), np.minimum(low.argmax(axis=1) - 1, last), last)
+    peak, _, lowest = _lowest(-heights, start, stop)
+    return peak, -lowest
+
+
+def _with_shared(inner: Floats, outer: Floats, ends: Bools) -> Floats:
+    """Outside flanks (M, K) of rings, also where they run into what is beside them.
+
+    That is told from the inside flanks and the width of the same ring elsewhere; not where the
+    image `ends` (M, K).
+    """
+    widths = outer - inner
+    known = np.isfinite(widths)
+    enough = known.mean(axis=1) >= MIN_WIDTHS
+    width = np.full(len(inner), np.nan)
+    for m in np.flatnonzero(enough).tolist():
+        width[m] = np.median(widths[m, known[m]])
+    shared = np.isnan(outer) & ~ends
+    return np.where(shared, inner + width[:, None], outer)
+
+
+def _inner_crossings(heights: Floats, first: Rows, peak: Rows, limit: Floats) -> Floats:
+    """Where rays (R, 2 S) rise above a limit (R,), px, nearest before `peak` and after `first`."""
+    n_steps = heights.shape[1] // 2
+    steps = np.arange(n_steps)
+    below = (steps >= first[:, None]) & (steps < peak[:, None])
+    below &= heights[:, ::2] < limit[:, None]
+    step = n_steps - 1 - below[:, ::-1].argmax(axis=1)
+    here, half, outer = (
+        _at(heights, np.minimum(2 * step + shift, 2 * n_steps - 1)) for shift in (0, 1, 2)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        further = step + 0.5 + 0.5 * (limit - half) / (outer - half)
+        nearer = step + 0.5 * (limit - here) / (half - here)
+    return np.where(below.any(axis=1), np.where(half < limit, further, nearer), np.nan)
 
 
 def _lowest(heights: Floats, first: Rows, last: Rows) -> tuple[Rows, Floats, Floats]:

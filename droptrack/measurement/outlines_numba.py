@@ -29,8 +29,15 @@ class Settings(NamedTuple):
     min_free_filled: float
     min_depth: float
     min_rise: float
+    min_risen_rings: float
     min_risen: float
+    bare: float
     min_peak: float
+    first_peak: float
+    second: float
+    min_fall: float
+    look_px: float
+    min_widths: float
 
 
 class Ray(NamedTuple):
@@ -44,7 +51,7 @@ class Ray(NamedTuple):
     profile: Floats
 
 
-_SETTINGS = types.NamedUniTuple(types.float64, 15, Settings)  # type: ignore[no-untyped-call]
+_SETTINGS = types.NamedUniTuple(types.float64, 22, Settings)  # type: ignore[no-untyped-call]
 SIGNATURE = types.void(
     types.Array(types.uint8, 2, "C", readonly=True),
     types.float64[:, ::1],
@@ -177,71 +184,240 @@ def _crossing(ray: Ray, sign: float, limit: float, start: int, first: int) -> fl
 
 
 @njit(**FAST)
-def _ring_edge(ray: Ray, first: int, last: int, beside: bool, scale: Floats, s: Settings) -> float:
-    """The outside flank, px, of a droplet's ring; see outlines.py."""
+def _ring_flanks(
+    ray: Ray, ends: tuple[int, int, int], scale: Floats, inside: float, s: Settings
+) -> tuple[float, float]:
+    """The inside and outside flanks, px, of a droplet's ring; see outlines.py.
+
+    `ends`: the first px, the last for the ring, and for a gap behind it.
+    """
+    first, last, end = ends
     profile, sign = ray.profile, 1.0 if scale[1] > 0 else -1.0
     base = sign * scale[0]
-    peak, height = first, -np.inf
-    for j in range(first, last + 1):
-        if sign * profile[j] > height:
-            peak, height = j, sign * profile[j]
-    place = float(peak)
-    for half in (peak - 0.5, peak + 0.5):
-        if first <= half <= last:
-            h = sign * _level(ray, half)
-            if h > height:
-                place, height = half, h
-    if height - base < s.min_peak * sign * scale[1]:
-        return NO_EDGE
-    limit = base + (height - base) / 2
-    if sign * profile[last] >= limit:
-        return place if beside and first < peak < last else NO_EDGE
-    edge = _crossing(ray, sign, limit, last - 1, first)
-    return edge if edge >= first else NO_EDGE
+    ring, start, stop = sign * scale[1], first, last
+    while start <= last and sign * profile[start] < base + s.first_peak * ring:
+        start += 1
+    if start > last:
+        start = first
+    else:  # the first place that is about as high as the ring
+        stop = start
+        while stop < last and sign * profile[stop + 1] >= base + (1 - s.min_fall) * ring:
+            stop += 1
+    peak, top = start, -np.inf
+    for j in range(start, stop + 1):
+        if sign * profile[j] > top:
+            peak, top = j, sign * profile[j]
+    for half_px in (peak - 0.5, peak + 0.5):
+        if start <= half_px <= stop:
+            top = max(top, sign * _level(ray, half_px))
+    if top - base < s.min_peak * ring:
+        return NO_EDGE, NO_EDGE
+    half = base + (1 - s.min_fall) * (top - base)
+    fall = peak + 1
+    while fall <= end and sign * profile[fall] >= half:
+        fall += 1
+    outer = NO_EDGE
+    if fall <= end:
+        rise, low = fall, top
+        while rise <= end and (rise == fall or sign * profile[rise] < half):
+            low = min(low, sign * profile[rise])
+            if rise < end:
+                low = min(low, sign * _level(ray, rise + 0.5))
+            rise += 1
+        share = 0.5
+        if rise <= end:
+            depth = min((top - low) / max(top - base, 1e-9), 1.0)
+            share = 1 - depth / (1 + depth**2)
+        outer = _crossing(ray, sign, base + share * (top - base), fall - 1, first)
+        outer = outer if outer >= first else NO_EDGE
+    return _inner_crossing(ray, sign, inside + (top - inside) / 2, peak, first), outer
+
+
+@njit(**FAST)
+def _inner_crossing(ray: Ray, sign: float, limit: float, peak: int, first: int) -> float:
+    """Where a ray rises above a limit, px, nearest before `peak` and after `first`; or NO_EDGE."""
+    for j in range(peak - 1, first - 1, -1):
+        here = sign * ray.profile[j]
+        if here < limit:
+            half, outer = sign * _level(ray, j + 0.5), sign * ray.profile[j + 1]
+            if half < limit:
+                return float(j + 0.5 + 0.5 * (limit - half) / (outer - half))
+            return float(j + 0.5 * (limit - here) / (half - here))
+    return NO_EDGE
+
+
+@njit(**FAST)
+def _with_shared(flanks: Floats, limits: Rows, s: Settings) -> None:
+    """Put into `flanks` (K, 2) outside flanks where a ring runs into what is beside it."""
+    k = len(flanks)
+    widths, n = np.empty(k), 0
+    for ray in range(k):
+        if flanks[ray, 0] >= 0 and flanks[ray, 1] >= 0:
+            widths[n] = flanks[ray, 1] - flanks[ray, 0]
+            n += 1
+    if n < s.min_widths * k:
+        return
+    width = np.median(widths[:n])
+    for ray in range(k):
+        if flanks[ray, 1] < 0 and flanks[ray, 0] >= 0 and limits[ray] != IMAGE:
+            flanks[ray, 1] = flanks[ray, 0] + width
+
+
+@njit(**FAST)
+def _n_free(ends: Rows, limits: Rows) -> int:
+    """How many rays reach the surroundings."""
+    n = 0
+    for ray in range(len(ends)):
+        n += ends[ray, 2] > ends[ray, 0] and limits[ray, 1] == FREE
+    return n
 
 
 @njit(**FAST)
 def _ring(
-    profile: Floats, ends: Rows, limits: Rows, levels: Rows, s: Settings
+    profile: Floats, ends: Rows, limits: Rows, levels: Rows, s: Settings, min_risen: float
 ) -> tuple[bool, float, float]:
     """Whether a droplet has a ring, and its scale: surroundings, and how far the ring is off."""
-    k = len(ends)
-    n_free = n_usable = 0
-    for ray in range(k):
-        usable = ends[ray, 2] > ends[ray, 0]
-        n_usable += usable
-        n_free += usable and limits[ray] == FREE
+    k, n_free = len(ends), _n_free(ends, limits)
     alone = n_free >= (s.min_free if levels[1] == 0 else s.min_free_filled) * k
-    n = n_free if alone else n_usable
-    if n_usable < s.min_free * k:
-        return False, 0.0, 0.0
-    values = np.empty((3, n))  # at the end of each ray, highest, lowest
+    crowded = not alone and levels[1] != 0
+    values = np.empty((4, k))  # at the end of each ray, highest, lowest, how much further out
     n = 0
     for ray in range(k):
         first, last = ends[ray, 0], ends[ray, 2]
-        if last <= first or (alone and limits[ray] != FREE):
+        if last <= first or (alone and limits[ray, 1] != FREE):
             continue
         low, high = np.inf, -np.inf
+        at_low = at_high = first
         for j in range(first, last + 1):
-            low, high = min(low, profile[ray, j]), max(high, profile[ray, j])
-        values[0, n], values[1, n], values[2, n] = profile[ray, last], high, low
+            level = profile[ray, j]
+            if level > high:
+                high, at_high = level, j
+            if level < low:
+                low, at_low = level, j
+        values[3, n] = at_high - at_low
+        at_end = profile[ray, last - 1] if crowded else profile[ray, last]
+        values[0, n], values[1, n], values[2, n] = at_end, high, low
         n += 1
-    inside = float(levels[2])
-    crowded = not alone and levels[1] != 0
+    if n < s.min_free * k:
+        return False, 0.0, 0.0
+    inside, outer = float(levels[2]), values[0, :n].copy()
+    highest, lowest = np.median(values[1, :n]), np.median(values[2, :n])
     if crowded:  # rings, if there is something else between them
         far, half = values[2] if levels[1] > 0 else values[1], s.min_rise * abs(levels[1])
         n_risen = 0
         for ray in range(n):
-            n_risen += abs(inside - far[ray]) >= half and abs(values[0, ray] - far[ray]) >= half
-        if n_risen < s.min_risen * n:
+            if abs(inside - far[ray]) >= half and abs(values[0, ray] - far[ray]) >= half:
+                outer[n_risen] = values[0, ray]
+                n_risen += 1
+        if n_risen < min_risen * n:
             return False, 0.0, 0.0
-    outside = np.median(values[0]) if alone or crowded else inside
-    highest, lowest = np.median(values[1]), np.median(values[2])
+        outer = outer[:n_risen]
+        outside = np.quantile(outer, s.bare if levels[1] > 0 else 1 - s.bare)
+    else:
+        outside = np.median(outer) if alone else inside
     over, under = highest - max(inside, outside), min(inside, outside) - lowest
-    noise = s.noise * np.median(np.abs(values[0] - np.median(values[0])))
-    if max(over, under) - noise < max(s.min_contrast, s.ring_share * abs(inside - outside)):
+    noise = float(s.noise * np.median(np.abs(outer - np.median(outer))))
+    if min_risen < s.min_risen and not alone:
+        noise = 0.0
+    least = max(s.min_contrast, s.ring_share * abs(inside - outside))
+    if max(over, under) - noise < least:
         return False, 0.0, 0.0
-    return True, outside, (highest if over > under else lowest) - outside
+    bright = over > under
+    if min(over, under) >= max(least + noise, s.second * max(over, under)):
+        bright = np.median(values[3, :n]) > 0  # the outer one of two rings
+    return True, outside, (highest if bright else lowest) - outside
+
+
+@njit(**FAST)
+def _find_ends(
+    n: int,
+    size: tuple[int, int],
+    boxes: Floats,
+    origin: Floats,
+    neighbours: Rows,
+    steps: Floats,
+    s: Settings,
+    ends: Rows,
+    limits: Rows,
+) -> None:
+    """Put into `ends` (K, 3) the first px of each ray, its last, its last in search of a ring.
+
+    And into `limits` (K, 2) what limits these two.
+    """
+    box, n_beside = boxes[n], 0
+    beside = np.empty(len(neighbours), np.int64)
+    for other in neighbours:
+        if other >= 0 and _beside(box, boxes[other], origin, s):
+            beside[n_beside] = other
+            n_beside += 1
+    for ray in range(len(steps)):
+        step = steps[ray]
+        side = min(
+            _to_side(origin[0], step[0], box[0] - box[2] / 2, box[0] + box[2] / 2),
+            _to_side(origin[1], step[1], box[1] - box[3] / 2, box[1] + box[3] / 2),
+        )
+        side = max(side, 0.0)
+        end = end_of_ring = s.reach * side + s.margin_px
+        limits[ray] = FREE
+        for m in range(n_beside):
+            core, half_way = _until(box, boxes[beside[m]], origin, step, s.core)
+            if core < end:
+                end, limits[ray, 0] = core, NEIGHBOUR
+            if half_way + s.beyond_px < end_of_ring:
+                end_of_ring, limits[ray, 1] = half_way + s.beyond_px, NEIGHBOUR
+        border = min(
+            _to_side(origin[0], step[0], 0.0, size[0]), _to_side(origin[1], step[1], 0.0, size[1])
+        )
+        if border < end:
+            end, limits[ray, 0] = max(border, 0.0), IMAGE
+        if border < end_of_ring:
+            end_of_ring, limits[ray, 1] = max(border, 0.0), IMAGE
+        ends[ray, 0], ends[ray, 1] = int(s.inner * side), int(end)
+        ends[ray, 2] = int(end_of_ring)
+
+
+@njit(**FAST)
+def _find_edges(
+    grey: Pixels,
+    origin: Floats,
+    steps: Floats,
+    levels: Rows,
+    s: Settings,
+    ends: Rows,
+    limits: Rows,
+    profile: Floats,
+    flanks: Floats,
+    min_risen: float,
+) -> bool:
+    """Put into `flanks` (K, 2) the inside flanks of a ring, and edges; whether there is a ring."""
+    k = len(steps)
+    for ray in range(k):
+        one = Ray(grey, origin[0], origin[1], steps[ray, 0], steps[ray, 1], profile[ray])
+        for j in range(ends[ray, 0], max(ends[ray, 1], ends[ray, 2]) + 1):
+            profile[ray, j] = _level(one, float(j))
+    ring, base, height = _ring(profile, ends, limits, levels, s, min_risen)
+    scale = np.array([base, height]) if ring else levels[:2].astype(np.float64)
+    sign = 1.0 if scale[1] > 0 else -1.0
+    for ray in range(k):
+        flanks[ray] = NO_EDGE
+        first, last = ends[ray, 0], ends[ray, 2 if ring else 1]
+        if scale[1] == 0 or last - first < 2:
+            continue
+        one = Ray(grey, origin[0], origin[1], steps[ray, 0], steps[ray, 1], profile[ray])
+        if not ring:
+            flanks[ray, 1] = _filled_edge(one, first, last, scale, s)
+            continue
+        beyond = int(s.look_px) if limits[ray, 1] == NEIGHBOUR else 0
+        for j in range(max(ends[ray, 1], last) + 1, last + beyond + 1):
+            profile[ray, j] = _level(one, float(j))
+        for j in range(first * 2 // 3, first):  # it may lie a little further in
+            profile[ray, j] = _level(one, float(j))
+        first = first * 2 // 3
+        reach = first, max(last - beyond, first), last + beyond
+        flanks[ray] = _ring_flanks(one, reach, scale, sign * levels[2], s)
+    if ring:
+        _with_shared(flanks, limits[:, 1], s)
+    return bool(ring)
 
 
 @njit(SIGNATURE, **FAST)
@@ -257,71 +433,40 @@ def trace(
     states: Pixels,
     rings: Pixels,
 ) -> None:
-    """Put into `radii` and `states` (N, K), `rings` (N,) what rays from `origins` (N, 2) meet."""
+    """Put into `radii` and `states` (N, K), `rings` (N,) what rays from `origins` (N, 2) meet.
+
+    In two turns, as outlines.py has them.
+    """
     s, k = settings, len(steps)
-    height, width = grey.shape
+    size = grey.shape[1], grey.shape[0]
     longest = 2
     for box in boxes:
-        reach = s.reach * np.hypot(box[2], box[3]) + s.margin_px
+        reach = s.reach * np.hypot(box[2], box[3]) + s.margin_px + s.look_px
         longest = max(longest, int(reach) + 3)
-    profile = np.empty((k, longest))
-    # the first px of a ray, its last, its last in search of a ring; and what limits these two
+    profile, flanks = np.empty((k, longest)), np.empty((k, 2))
     ends, limits = np.empty((k, 3), np.int64), np.empty((k, 2), np.int64)
-    scale, beside = np.empty(2), np.empty(neighbours.shape[1], np.int64)
-    for n in range(len(boxes)):
-        box, origin = boxes[n], origins[n]
-        n_beside = 0
-        for other in neighbours[n]:
-            if other >= 0 and _beside(box, boxes[other], origin, s):
-                beside[n_beside] = other
-                n_beside += 1
-        for ray in range(k):
-            step = steps[ray]
-            side = min(
-                _to_side(origin[0], step[0], box[0] - box[2] / 2, box[0] + box[2] / 2),
-                _to_side(origin[1], step[1], box[1] - box[3] / 2, box[1] + box[3] / 2),
+    free = np.zeros(len(boxes), np.bool_)
+    n_free = n_rings = 0
+    for turn in range(2):
+        alike = 2 * n_rings > n_free
+        min_risen = s.min_risen_rings if alike else s.min_risen
+        for n in range(len(boxes)):
+            if turn == 1 and free[n] and (rings[n] or not alike):
+                continue
+            origin = origins[n]
+            _find_ends(n, size, boxes, origin, neighbours[n], steps, s, ends, limits)
+            if turn == 0:
+                free[n] = _n_free(ends, limits) >= s.min_free * k
+                if not free[n]:
+                    continue
+            ring = _find_edges(
+                grey, origin, steps, levels[n], s, ends, limits, profile, flanks, min_risen
             )
-            side = max(side, 0.0)
-            end = end_of_ring = s.reach * side + s.margin_px
-            limits[ray] = FREE
-            for m in range(n_beside):
-                core, half_way = _until(box, boxes[beside[m]], origin, step, s.core)
-                if core < end:
-                    end, limits[ray, 0] = core, NEIGHBOUR
-                if half_way + s.beyond_px < end_of_ring:
-                    end_of_ring, limits[ray, 1] = half_way + s.beyond_px, NEIGHBOUR
-            border = min(
-                _to_side(origin[0], step[0], 0.0, width), _to_side(origin[1], step[1], 0.0, height)
-            )
-            if border < end:
-                end, limits[ray, 0] = max(border, 0.0), IMAGE
-            if border < end_of_ring:
-                end_of_ring, limits[ray, 1] = max(border, 0.0), IMAGE
-            ends[ray, 0] = int(s.inner * side)
-            ends[ray, 1] = int(end)
-            ends[ray, 2] = int(end_of_ring)
-            one = Ray(grey, origin[0], origin[1], step[0], step[1], profile[ray])
-            for j in range(ends[ray, 0], max(ends[ray, 1], ends[ray, 2]) + 1):
-                profile[ray, j] = _level(one, float(j))
-        ring, scale[0], scale[1] = _ring(profile, ends, limits[:, 1], levels[n], s)
-        rings[n] = ring
-        if not ring:
-            scale[0], scale[1] = levels[n, 0], levels[n, 1]
-        for ray in range(k):
-            edge = NO_EDGE
-            first, last = ends[ray, 0], ends[ray, 2 if ring else 1]
-            if scale[1] != 0 and last - first >= 2:
-                step = steps[ray]
-                one = Ray(grey, origin[0], origin[1], step[0], step[1], profile[ray])
-                if ring:  # it may lie a little further in
-                    for j in range(first * 2 // 3, first):
-                        profile[ray, j] = _level(one, float(j))
-                    first = first * 2 // 3
-                edge = (
-                    _ring_edge(one, first, last, limits[ray, 1] == NEIGHBOUR, scale, s)
-                    if ring
-                    else _filled_edge(one, first, last, scale, s)
-                )
-            radii[n, ray] = edge if edge >= 0 else np.nan
-            image = limits[ray, 1 if ring else 0] == IMAGE
-            states[n, ray] = 1 if edge >= 0 else (2 if image else 0)
+            rings[n] = ring
+            if turn == 0:
+                n_free, n_rings = n_free + 1, n_rings + ring
+            for ray in range(k):
+                edge = flanks[ray, 1]
+                image = limits[ray, 1 if ring else 0] == IMAGE
+                radii[n, ray] = edge if edge >= 0 else np.nan
+                states[n, ray] = 1 if edge >= 0 else (2 if image else 0)

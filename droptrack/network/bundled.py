@@ -9,8 +9,8 @@ from droptrack.network.darknet_weights import refuse_partial
 
 BUNDLED = Path(__file__).parents[2] / "darknet_cfg"
 BUNDLED_WEIGHTS = BUNDLED / "yolov3-tiny-droplets.weights"
-FOOTAGE = Path("footage")  # names the other bundled model, of droplets as laboratories film them
-FOOTAGE_WEIGHTS = BUNDLED / "yolov3-tiny-footage.weights"
+SIMULATIONS, FOOTAGE = "simulations", "footage"  # what the droplets of a model look like
+MODELS = {SIMULATIONS: BUNDLED_WEIGHTS, FOOTAGE: BUNDLED / "yolov3-tiny-footage.weights"}
 
 # what Darknet adds to the cfg's stem when it saves weights
 SUFFIX = re.compile(r"_(final|last|best|\d+)$")
@@ -44,16 +44,25 @@ def find_cfg(weights: Path) -> Path:
     )
 
 
+def is_bundled(weights: Path | None) -> bool:
+    """Whether `--weights` means a bundled model: not given, or the name of one.
+
+    >>> is_bundled(None), is_bundled(Path("footage")), is_bundled(Path("yolov3.weights"))
+    (True, True, False)
+    """
+    return weights is None or str(weights) in MODELS
+
+
 def find_network(
     weights: Path | None = None, cfg: Path | None = None, size: str | None = None
 ) -> tuple[Cfg, Path]:
-    """The network to use, and its weights: the bundled ones unless others, or FOOTAGE, are given.
+    """The network to use, and its weights: a file, or one of MODELS, by default SIMULATIONS.
 
     `cfg`: their description; without, the one of their name (`find_cfg`). `size`: the network's
     input as ``960x480``, instead of the cfg's. Raises DroptrackError for what is not there or
     cannot be understood.
     """
-    weights = FOOTAGE_WEIGHTS if weights == FOOTAGE else weights or BUNDLED_WEIGHTS
+    weights = BUNDLED_WEIGHTS if weights is None else MODELS.get(str(weights), weights)
     refuse_partial(weights)
     network = read_cfg(cfg or find_cfg(weights))
     if network.net.integer("letter_box", 0):

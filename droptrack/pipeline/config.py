@@ -7,7 +7,7 @@ from droptrack.data.formats.contours import ContoursFormat
 from droptrack.data.units import Units
 from droptrack.data.video import ReadOptions
 from droptrack.detection.engine_choice import Backend, Precision
-from droptrack.network.bundled import FOOTAGE
+from droptrack.network.bundled import is_bundled
 from droptrack.pipeline.report_events import EventsConfig
 from droptrack.pipeline.results_folder import results_name
 from droptrack.tracking.choice import TrackerConfig
@@ -20,13 +20,14 @@ MAX_IOU = 0.3
 class DetectorConfig:
     """How to find droplets.
 
-    `weights`, `cfg` and `size`: the network, see `network.bundled.find_network`. `scale`: px of the
-    network's input for a px of the frames, or "auto", what some of the frames suggest; or
+    `weights`, `cfg` and `size`: the network, see `network.bundled.find_network`; without weights
+    and cfg, the bundled model that suits some of the frames (`detection.model_choice`). `scale`:
+    px of the network's input for a px of the frames, or "auto", what some of the frames suggest; or
     `diameter_px`, the diameter of a typical droplet in the frames, from which the scale follows, or
-    the smallest and the largest (`detection.pyramid`); without, "auto" for FOOTAGE, and for
-    others as large as the cfg says, in the frames' shape. `score`: the minimum score of a
-    droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets are darker
-    than their surroundings.
+    the smallest and the largest (`detection.pyramid`); without, "auto" for the bundled model of
+    footage, and for others as large as the cfg says, in the frames' shape. `score`: the minimum
+    score of a droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets
+    are darker than their surroundings.
     `normalise`: show the network grey frames of full contrast (`detection.normalisation`); None:
     the bundled models only, which learned them so. `region`: where droplets count, a polygon or an
     image, see `data.region.Region.read`; None: everywhere. `shape`: measure the droplets' outlines,
@@ -55,8 +56,7 @@ class DetectorConfig:
     @property
     def normalises(self) -> bool:
         """Whether the network is shown grey frames of full contrast."""
-        ours = self.weights is None or self.weights == FOOTAGE
-        return ours if self.normalise is None else self.normalise
+        return is_bundled(self.weights) if self.normalise is None else self.normalise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +100,8 @@ class ImagesConfig(DetectorConfig):
     `sources`: images, folders of images, and videos, and how they are read. `out`: the folder for
     the results.
     `annotated`: write the images with the boxes, too. `overwrite`: the results of an earlier run
-    on the same sources.
+    on the same sources. `units`: how wide a pixel is, for columns in micrometres; by default what
+    each file says, but for pixels where `pixels_only` is set.
     """
 
     sources: tuple[str, ...]
@@ -108,6 +109,8 @@ class ImagesConfig(DetectorConfig):
     reading: ReadOptions = field(default_factory=ReadOptions)
     annotated: bool = True
     overwrite: bool = False
+    units: Units = field(default_factory=Units)
+    pixels_only: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import chi2, poisson
 
 from droptrack.data.arrays import Floats, Rows
 from droptrack.data.report import Value
@@ -88,6 +86,8 @@ def compared(cells: Sequence[Cells | None], counts: Sequence[int]) -> dict[str, 
     freedom = len(kinds) - 2 + (beyond > MIN_EXPECTED)
     p = math.nan
     if freedom > 0 and expected.min() >= MIN_EXPECTED:
+        from scipy.stats import chi2  # takes longer to import than all of a short run
+
         square = ((numbers - expected) ** 2 / expected).sum()
         square += beyond if beyond > MIN_EXPECTED else 0.0
         p = float(chi2.sf(square, freedom))
@@ -96,6 +96,8 @@ def compared(cells: Sequence[Cells | None], counts: Sequence[int]) -> dict[str, 
 
 def shares(kinds: Sequence[Cells], mean: float) -> Floats:
     """The share of droplets with each number of cells, in a Poisson distribution of a mean."""
+    from scipy.stats import poisson
+
     return np.array(
         [
             poisson.sf(one.number - 1, mean) if one.is_open else poisson.pmf(one.number, mean)
@@ -118,6 +120,8 @@ def most_likely_mean(kinds: Sequence[Cells], numbers: Rows) -> float:
         return math.nan
     if not n_open:
         return float(n_cells / n_exact)
+    from scipy.optimize import brentq
+    from scipy.stats import poisson
 
     def slope(mean: float) -> float:
         """Of the likelihood's logarithm."""

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from droptrack.compiled import explained
@@ -12,12 +12,13 @@ from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_choice
 from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Engines, Network, choose_detector
+from droptrack.detection.model_choice import MIN_AGREEMENT, agreement
 from droptrack.detection.normalisation import Normalisation, normalisation_for
 from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
-from droptrack.network.bundled import FOOTAGE, find_network
+from droptrack.network.bundled import FOOTAGE, SIMULATIONS, find_network
 from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.pipeline.config import DetectorConfig
 from droptrack.pipeline.notes import Say
@@ -40,6 +41,19 @@ class OpenedDetector:
     region: Region | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Plan:
+    """A network, its weights, and what its inputs show of frames, each for droplets of some sizes.
+
+    No canvases: as the frames suggest. `settings`: what was chosen from frames, for the report.
+    """
+
+    cfg: Cfg
+    weights: Path
+    canvases: list[tuple[Sizes | None, Canvas]]
+    settings: dict[str, Value] = field(default_factory=dict)
+
+
 def open_detector(
     config: DetectorConfig,
     size: tuple[int, int],
@@ -56,28 +70,27 @@ def open_detector(
     Raises DroptrackError for what is not to be had as it is wanted.
     """
     width, height = size
-    cfg, weights = find_network(config.weights, config.cfg, config.size)
-    canvases = _given_canvases(config, cfg, width, height)
-    frames = samples() if config.normalises or not canvases else ()
+    plan = _given(config, width, height)
+    choosing = _chooses_model(config) or not plan.canvases
+    frames = samples() if config.normalises or choosing else ()
     normalisation = Normalisation(dark=config.dark)
     if config.normalises:
         normalisation = normalisation_for(frames, dark=config.dark)
     if normalisation.channel or normalisation.levels:
         say(f"the network sees {normalisation}, of {len(frames)} frames; otherwise: --as-it-is")
-    chosen: dict[str, Value] = {}
-    if not canvases:
+    engines = Engines() if engines is None else engines
+    if choosing:
         shown = [normalisation.shown(frame) for frame in frames]
-        canvas, chosen = _chosen_canvas(config, cfg, weights, shown, say, engines)
-        canvases = [(None, canvas)]
+        plan = _chosen(plan, config, shown, say, engines)
     with explained(say):
         decoding.load_loops()
         droplets.load_loops()
     region = None if config.region is None else Region.read(config.region, width, height)
     levels = []
-    for sizes, canvas in canvases:
+    for sizes, canvas in plan.canvases:
         network = Network(
-            resized(cfg, *canvas.network),
-            weights,
+            resized(plan.cfg, *canvas.network),
+            plan.weights,
             threshold=config.score,
             max_iou=config.max_iou,
             normalisation=normalisation,
@@ -88,15 +101,16 @@ def open_detector(
             network, config.backend, config.precision, live=live, say=say, engines=engines
         )
         levels.append((sizes, detector))
-    first = canvases[0][1]
+    first = plan.canvases[0][1]
+    scales = [canvas.scale for _, canvas in plan.canvases]
     return OpenedDetector(
         detector=_together(levels),
-        cfg=resized(cfg, *first.network),
-        weights=weights,
+        cfg=resized(plan.cfg, *first.network),
+        weights=plan.weights,
         scale=first.scale,
         settings={
-            "scale": first.scale if len(canvases) == 1 else [f"{c.scale:.3g}" for _, c in canvases],
-            **chosen,
+            "scale": first.scale if len(scales) == 1 else [f"{scale:.3g}" for scale in scales],
+            **plan.settings,
             "network_sees": str(normalisation),
         },
         region=region,
@@ -129,11 +143,73 @@ def _given_canvases(
     scale = config.scale
     if config.diameter_px is not None:
         scale = DIAMETER_PX / config.diameter_px
-    if scale == AUTO or (scale is None and config.weights == FOOTAGE):
+    fits_frames = _chooses_model(config) or config.weights == Path(FOOTAGE)
+    if scale == AUTO or (scale is None and fits_frames):
         return []
     if scale is None:
         return [(None, Canvas.like(width, height, own))]
     return [(None, _canvas_at(float(scale), width, height))]
+
+
+def _chooses_model(config: DetectorConfig) -> bool:
+    """Whether one of the bundled models is to be taken, as the frames suggest."""
+    return config.weights is None and config.cfg is None
+
+
+def _given(config: DetectorConfig, width: int, height: int) -> _Plan:
+    """What is said of the network and of its inputs for frames of a size, px."""
+    cfg, weights = find_network(config.weights, config.cfg, config.size)
+    canvases = _given_canvases(config, cfg, width, height)
+    return _Plan(cfg=cfg, weights=weights, canvases=canvases)
+
+
+def _chosen(
+    plan: _Plan, config: DetectorConfig, shown: Sequence[Frame], say: Say, engines: Engines
+) -> _Plan:
+    """A plan with what was left open as some frames of one size suggest it."""
+    height, width = shown[0].shape[:2]
+    if _chooses_model(config):
+        default = Canvas.like(width, height, (plan.cfg.width, plan.cfg.height))
+        own = plan.canvases[0][1] if plan.canvases else default
+        model, agreed = _chosen_model(config, own, shown, engines)
+        cfg, weights = find_network(Path(model), size=config.size)
+        settings: dict[str, Value] = {
+            "model": model,
+            "model_agreement": agreed,
+            "model_chosen_from": len(shown),
+        }
+        canvases = plan.canvases
+        if model == SIMULATIONS:
+            canvases = canvases or [(None, own)]
+        else:
+            say(
+                "the model for droplets as laboratories film them; the other: --weights simulations"
+            )
+        plan = _Plan(cfg=cfg, weights=weights, canvases=canvases, settings=settings)
+    if plan.canvases:
+        return plan
+    canvas, how = _chosen_canvas(config, plan.cfg, plan.weights, shown, say, engines)
+    return replace(plan, canvases=[(None, canvas)], settings=plan.settings | how)
+
+
+def _chosen_model(
+    config: DetectorConfig, canvas: Canvas, shown: Sequence[Frame], engines: Engines
+) -> tuple[str, float]:
+    """The bundled model that suits some frames, and how well both agree on these."""
+    found = []
+    for model in (SIMULATIONS, FOOTAGE):
+        cfg, weights = find_network(Path(model))
+        network = Network(
+            resized(cfg, *canvas.network),
+            weights,
+            threshold=scale_choice.SURE,
+            max_iou=config.max_iou,
+            canvas=canvas,
+        )
+        detector = choose_detector(network, config.backend, config.precision, engines=engines)
+        found.append([detector.detect([frame])[0] for frame in shown])
+    agreed = agreement(*found)
+    return SIMULATIONS if agreed >= MIN_AGREEMENT else FOOTAGE, agreed
 
 
 def _canvas_at(scale: float, width: int, height: int) -> Canvas:
@@ -152,7 +228,7 @@ def _chosen_canvas(
     weights: Path,
     samples: Sequence[Frame],
     say: Say,
-    engines: Engines | None,
+    engines: Engines,
 ) -> tuple[Canvas, dict[str, Value]]:
     """The canvas whose scale suits some frames best, and how it was chosen."""
     height, width = samples[0].shape[:2]

@@ -14,7 +14,8 @@ from droptrack.data.units import Units
 
 DRAWN_STEP_PX = 2.0  # minimum distance between points of a drawn line
 MAX_FRAMES = 2**62
-SIDES = ("left", "right", "top", "bottom", "inside")
+BORDER = "border"  # of a region, or of a field stop, within the image
+SIDES = ("left", "right", "top", "bottom", BORDER, "inside")
 MAX_POINTS = 4000  # of a drawn line; of a longer one every other point is kept
 
 
@@ -29,6 +30,8 @@ class DropletPath:
     last_frame: int
     first_box: list[float]  # cx, cy, w, h
     last_box: list[float]
+    first_cut: bool = False  # whether an edge, of whatever kind, cuts it in its first frame
+    last_cut: bool = False
     first_whole: int | None = None
     last_whole: int = 0
     x: float = nan  # in the last frame in which it was whole
@@ -100,8 +103,10 @@ class Paths:
                     last_frame=frames[start],
                     first_box=boxes[start].tolist(),
                     last_box=boxes[start].tolist(),
+                    first_cut=not whole[start],
                 )
             path = self._paths[track_id]
+            path.last_cut = not whole[end - 1]
             path.last_frame = frames[end - 1]
             path.last_box = boxes[end - 1].tolist()
             some = order[start:end][whole[start:end]]
@@ -144,7 +149,8 @@ class Paths:
     def passages(self, width: float, height: float) -> tuple[list[str], list[str]]:
         """Where droplets entered after the first frame, and left before the last one.
 
-        For each of them the side of an image of some px, or inside: see `side_of`.
+        For each of them the side of an image of some px, or inside: see `side_of`; or the BORDER of
+        what counts of the image, where that cuts it.
         """
         entered, left = [], []
         for path in self._paths.values():
@@ -152,9 +158,11 @@ class Paths:
             step = path.length_px / n_steps if n_steps else 0.0
             dx, dy = (b - a for a, b in zip(path.first_box[:2], path.last_box[:2], strict=True))
             if path.first_frame > self._first_frame:
-                entered.append(side_of(path.first_box, width, height, (-dx, -dy), step))
+                side = side_of(path.first_box, width, height, (-dx, -dy), step)
+                entered.append(BORDER if side == "inside" and path.first_cut else side)
             if path.last_frame < self._last_frame:
-                left.append(side_of(path.last_box, width, height, (dx, dy), step))
+                side = side_of(path.last_box, width, height, (dx, dy), step)
+                left.append(BORDER if side == "inside" and path.last_cut else side)
         return entered, left
 
     def lines(self) -> dict[int, NDArray[np.float32]]:

@@ -8,6 +8,7 @@ from typing import Any
 from droptrack.data.files import replacing
 from droptrack.errors import DroptrackError
 
+COPY = "copy of "  # what begins the name of a copy
 LIVE = ("rtsp", "rtmp", "rtsps", "udp", "rtp", "tcp", "srt", "mms")
 
 
@@ -18,15 +19,15 @@ def is_address(video: str) -> bool:
 
 def matches(pattern: str) -> list[str]:
     """The addresses that a pattern matches."""
-    system, path = _system(pattern)
-    with _failures(pattern):
+    system, path = system_of(pattern)
+    with failures(pattern):
         return [str(system.unstrip_protocol(one)) for one in system.glob(path)]
 
 
 def version_of(address: str) -> dict[str, str | int]:
     """Bytes and time of the file at an address; raises DroptrackError where there is none."""
-    system, path = _system(address)
-    with _failures(address):
+    system, path = system_of(address)
+    with failures(address):
         about = system.info(path)
     changed = [about.get(key) for key in ("mtime", "LastModified", "ETag", "created", "updated")]
     return {
@@ -44,9 +45,9 @@ def local_copy(video: str, folder: Path) -> Iterator[str]:
     if not is_address(video):
         yield video
         return
-    system, path = _system(video)
-    place = folder / f"copy of {PurePosixPath(path).name}"
-    with _failures(video), replacing(place) as partial:
+    system, path = system_of(video)
+    place = folder / f"{COPY}{PurePosixPath(path).name}"
+    with failures(video), replacing(place) as partial:
         system.get_file(path, str(partial))
     try:
         yield str(place)
@@ -54,7 +55,7 @@ def local_copy(video: str, folder: Path) -> Iterator[str]:
         place.unlink(missing_ok=True)
 
 
-def _system(address: str) -> tuple[Any, str]:
+def system_of(address: str) -> tuple[Any, str]:
     """The file system of an address, and the path in it; raises DroptrackError."""
     protocol = address.partition("://")[0]
     if protocol in LIVE:
@@ -69,11 +70,13 @@ def _system(address: str) -> tuple[Any, str]:
         raise DroptrackError(f"{address}: {error}") from None
     except ValueError as error:
         raise DroptrackError(f"{address}: {error}") from None
+    system.invalidate_cache()  # others may have written since
     return system, str(path)
 
 
 @contextmanager
-def _failures(address: str) -> Iterator[None]:
+def failures(address: str) -> Iterator[None]:
+    """Turn what goes wrong at an address into DroptrackError that names it."""
     try:
         yield
     except FileNotFoundError:

@@ -1,6 +1,7 @@
 """The columns of a study's tables."""
 
 from droptrack.data.trajectories import COLUMNS as TABLE
+from droptrack.data.trajectories import TEXT, WHOLE
 from droptrack.data.units import Units
 from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.pipeline.results import columns_with
@@ -36,4 +37,4 @@ COLUMNS: dict[str, type] = {
 N_FIRST = 3
 
 # of the trajectories, with all units that there may be
-OF_TRAJECTORIES = (*TABLE, *columns_with(Units(um_per_px=1, fps=1), SHAPE))
+OF_TRAJECTORIES = (*TABLE, *columns_with(Units(um_per_px=1, fps=1), SHAPE), *TEXT, *WHOLE)

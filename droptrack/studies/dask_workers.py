@@ -179,7 +179,7 @@ class DaskWorkers:
 
 
 def _given_up(job: Job, why: str) -> Outcome:
-    return Outcome(name=job.name, reason=f"{why}; see {job.folder}")
+    return Outcome(name=job.name, reason=f"{why}; see {job.place}")
 
 
 def do_on_worker(job: Job, topic: str) -> Outcome:

@@ -6,22 +6,36 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from droptrack.data.files import read_text, write_text
 from droptrack.data.report import Value
 from droptrack.errors import DroptrackError
-from droptrack.network.bundled import FOOTAGE, find_network
+from droptrack.network.bundled import find_network, is_bundled
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.detection_log import NAME as DETECTION_LOG
 from droptrack.studies.addresses import is_address, version_of
+from droptrack.studies.analyses import FOLDER, told_of
 from droptrack.version import __version__
 
+if TYPE_CHECKING:  # it takes longer to import than all else here
+    from droptrack.analysis.choice import Asked
+
+RESULTS = ("trajectories.csv", "report.json")
 STATE = "state.json"  # in a video's folder: what was asked for, and what came of it
 LOG = "log.txt"
 FILES = ("weights", "cfg", "appearance", "appearance_weights")  # whose content counts
-NOT_OF_RESULTS = ("video", "out", "overwrite", "resume", *FILES)  # of a configuration
+NOT_OF_RESULTS = (
+    "video",
+    "out",
+    "overwrite",
+    "resume",
+    "region_option",
+    *FILES,
+)  # of a configuration
+
+OF_ANALYSIS = "analyse "  # what begins keys of `made_from` that the trajectories do not depend on
 
 State = Literal["running", "done", "failed"]
 
@@ -31,7 +45,9 @@ class Job:
     """One video of a study.
 
     `name`: of its folder, `folder`; `free`: the user's columns; `made_from`: all that its results
-    depend on, by names that a user reads; `version`: of the droptrack that asks for it.
+    depend on, by names that a user reads; `analyses`: what is done with the trajectories; `again`:
+    whether to track though results are there; `address`: where the folder is sent, if it is;
+    `version`: of the droptrack that asks for it.
     """
 
     name: str
@@ -39,12 +55,20 @@ class Job:
     config: TrackingConfig
     free: Mapping[str, str]
     made_from: Mapping[str, Value]
+    analyses: "tuple[Asked, ...]" = ()
+    again: bool = False
+    address: str = ""
     version: str = __version__
 
     @property
     def video(self) -> str:
         """The file, folder or address."""
         return self.config.video
+
+    @property
+    def place(self) -> str:
+        """Where its results are, for a user to look."""
+        return self.address or str(self.folder)
 
     @property
     def identity(self) -> str:
@@ -57,7 +81,8 @@ class Kept:
     """What a video's folder says of the last run.
 
     `identity`: of the video; `said`: the lines that were told meanwhile; `facts`: what the report
-    has no place for.
+    has no place for; `tracked`: whether the trajectories are all there; `analysed`: the analyses
+    that are.
     """
 
     state: State
@@ -68,6 +93,8 @@ class Kept:
     said: tuple[str, ...] = ()
     seconds: float = 0.0
     facts: Mapping[str, Value] = field(default_factory=dict)
+    tracked: bool = False
+    analysed: tuple[str, ...] = ()
 
     def write(self, folder: Path) -> None:
         """Keep it."""
@@ -78,7 +105,10 @@ def read_kept(folder: Path) -> Kept | None:
     """What a folder says of its last run; None where it says nothing that can be read."""
     try:
         values = json.loads(read_text(folder / STATE))
-        return Kept(**{**values, "said": tuple(values["said"])})
+        for name in ("said", "analysed"):
+            values[name] = tuple(values.get(name, ()))
+        values.setdefault("tracked", values["state"] == "done")  # as earlier versions kept it
+        return Kept(**values)
     except (DroptrackError, ValueError, TypeError, KeyError):
         return None
 
@@ -101,7 +131,13 @@ def names_before(out: Path) -> dict[str, str]:
     }
 
 
-def job_of(name: str, folder: Path, config: TrackingConfig, free: Mapping[str, str]) -> Job:
+def job_of(
+    name: str,
+    folder: Path,
+    config: TrackingConfig,
+    free: Mapping[str, str],
+    analyses: "tuple[Asked, ...]" = (),
+) -> Job:
     """A job, whose paths mean the same on all machines that share the disks.
 
     Raises DroptrackError for a network that there is not.
@@ -109,7 +145,12 @@ def job_of(name: str, folder: Path, config: TrackingConfig, free: Mapping[str, s
     video = config.video if is_address(config.video) else os.path.abspath(config.video)  # noqa: PTH100
     folder = folder.absolute()
     config = _absolute(replace(config, video=video, out=folder))
-    return Job(name=name, folder=folder, config=config, free=free, made_from=_made_from(config))
+    made_from = _made_from(config) | {
+        f"{OF_ANALYSIS}{asked.name}": told_of(asked) for asked in analyses
+    }
+    return Job(
+        name=name, folder=folder, config=config, free=free, made_from=made_from, analyses=analyses
+    )
 
 
 def left_to_do(job: Job) -> str:
@@ -123,10 +164,24 @@ def left_to_do(job: Job) -> str:
         return f"{was}; {change}" if change else was
     if change:
         return change
-    missing = [
-        name for name in ("trajectories.csv", "report.json") if not (job.folder / name).is_file()
-    ]
+    wanted = (*RESULTS, *(f"{FOLDER}/{name}.json" for name in kept.analysed))
+    missing = [name for name in wanted if not (job.folder / name).is_file()]
     return f"{missing[0]} is missing" if missing else ""
+
+
+def is_tracked(job: Job, kept: Kept | None) -> bool:
+    """Whether the trajectories are there that a job would give: only analyses are left to do."""
+    return (
+        kept is not None
+        and kept.tracked
+        and not job.again
+        and not _change(_of_tracking(kept.made_from), _of_tracking(job.made_from))
+        and all((job.folder / name).is_file() for name in RESULTS)
+    )
+
+
+def _of_tracking(made_from: Mapping[str, Value]) -> dict[str, Value]:
+    return {key: value for key, value in made_from.items() if not key.startswith(OF_ANALYSIS)}
 
 
 def can_resume(job: Job) -> bool:
@@ -136,7 +191,7 @@ def can_resume(job: Job) -> bool:
         kept is not None
         and kept.state != "done"
         and kept.version == job.version
-        and not _change(kept.made_from, job.made_from)
+        and not _change(_of_tracking(kept.made_from), _of_tracking(job.made_from))
         and (job.folder / DETECTION_LOG).is_file()
     )
 
@@ -145,6 +200,8 @@ def _change(before: Mapping[str, Value], now: Mapping[str, Value]) -> str:
     """What is another now than it was before, the first of it in words."""
     for key in [*before, *(key for key in now if key not in before)]:
         if before.get(key) != now.get(key):
+            if key.startswith(OF_ANALYSIS) and (key not in before or key not in now):
+                return f"changed: {key} is {'no longer ' if key in before else ''}asked for"
             was, new = (_short(values.get(key)) for values in (before, now))
             return f"changed: {key} was {was}, and is {new}"
     return ""
@@ -185,8 +242,8 @@ def _differences(given: Mapping[str, Any], default: Mapping[str, Any]) -> dict[s
     found: dict[str, Value] = {}
     for key, value in given.items():
         if isinstance(value, dict):
-            found |= _differences(value, default[key])
-        elif value != default[key]:
+            found |= _differences(value, default.get(key) or {})
+        elif value != default.get(key) and (key in default or value):
             found["tracker" if key == "name" else key] = _plain(value)
     return found
 
@@ -234,7 +291,7 @@ def _absolute(config: TrackingConfig) -> TrackingConfig:
     mask = _mask(config)
     return replace(
         config,
-        weights=_path(config.weights),
+        weights=config.weights if is_bundled(config.weights) else _path(config.weights),
         cfg=_path(config.cfg),
         region=str(mask.absolute()) if mask else config.region,
         tracker=tracker,
@@ -242,5 +299,5 @@ def _absolute(config: TrackingConfig) -> TrackingConfig:
 
 
 def _path(path: Path | None) -> Path | None:
-    """A file for any folder to work in; FOOTAGE is no file."""
-    return path if path is None or path == FOOTAGE else path.absolute()
+    """A file for any folder to work in."""
+    return None if path is None else path.absolute()

@@ -15,7 +15,7 @@ from typing import Any
 from droptrack.errors import DroptrackError
 from droptrack.studies.jobs import Job
 from droptrack.studies.outcome import Outcome
-from droptrack.studies.workers import Advance, Deaths, Note, Told
+from droptrack.studies.workers import MAX_DEATHS, Advance, Deaths, Note, Told
 
 MODULE = "droptrack.studies.local_process"
 GRACE_S = 20.0  # seconds that a worker has to finish its files
@@ -126,7 +126,28 @@ class _Worker(threading.Thread):
             return
 
     def _start(self) -> "subprocess.Popen[bytes]":
-        """A new process that is ready; raises DroptrackError where none can be."""
+        """A new process that is ready; raises DroptrackError where none can be.
+
+        One that is killed while it starts is replaced, like those that are killed later.
+        """
+        ended = ""
+        for _ in range(MAX_DEATHS):
+            process = self._new_process()
+            try:
+                self._read(process)
+            except (EOFError, OSError, pickle.UnpicklingError):
+                self._process = None
+                ended = _ended_by(process)
+                if self._ending:
+                    raise EOFError from None
+                if process.returncode >= 0:  # it cannot start
+                    break
+                self._told.put(Note(f"{self.name} {ended} while it started; another one does"))
+            else:
+                return process
+        raise DroptrackError(f"a worker {ended} while it started")
+
+    def _new_process(self) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", MODULE, ",".join(map(str, self._cores))]
         paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
@@ -134,13 +155,6 @@ class _Worker(threading.Thread):
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
         )
         self._process = process
-        try:
-            self._read(process)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            self._process = None
-            if self._ending:
-                raise EOFError from None
-            raise DroptrackError(f"a worker {_ended_by(process)} while it started") from None
         return process
 
     @staticmethod

@@ -2,18 +2,22 @@
 
 import difflib
 import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from droptrack.errors import DroptrackError
 from droptrack.pipeline.config import TrackingConfig
 
+if TYPE_CHECKING:  # it takes longer to import than all else here
+    from droptrack.analysis.choice import Asked
+
 Given = bool | tuple[str, ...]  # a flag, or the words after an option
+ANALYSE = "analyse"  # the option that is no option of ``droptrack track``
 YES, NO = ("yes", "true", "1", "on", "x"), ("no", "false", "0", "off")
 # of each of these one is given: that of a single video takes the place of all that others say
 INSTEAD = (("um_per_px", "known_length"), ("size", "scale", "diameter"))
-WITH_COMMAS = ("expect_velocity", "known_length", "region")
+WITH_COMMAS = ("expect_velocity", "known_length", "region", "cells")
 DECIMAL_COMMA = re.compile(r"-?\d+,\d+", re.ASCII)
 ALIKE = 0.8  # how alike a column's name and an option's are where one is taken for a slip
 
@@ -22,12 +26,14 @@ ALIKE = 0.8  # how alike a column's name and an option's are where one is taken 
 class VideoOptions:
     """The options that a video may have, by their names in Python.
 
-    `command`: that of ``droptrack track``, as Typer makes it. `configured` parses a command line
-    with it. `without`: options of it that a study has no use for.
+    `command`: that of ``droptrack track``, as Typer makes it, and ANALYSE. `configured` parses a
+    command line without it, `asked_for` what stands after it. `without`: options that a study has
+    no use for.
     """
 
     command: Any
     configured: Callable[[list[str]], TrackingConfig]
+    asked_for: "Callable[[Sequence[str]], tuple[Asked, ...]]"
     without: Collection[str]
     _parameters: dict[str, Any] = field(init=False, repr=False)
 
@@ -75,14 +81,22 @@ class VideoOptions:
             if text.lower() in NO:
                 return False
             raise DroptrackError(f"{name} {text!r}: should be yes or no")
+        if name == ANALYSE:
+            return tuple(part.strip() for part in text.split("|"))
         if decimal_comma and name not in WITH_COMMAS and DECIMAL_COMMA.fullmatch(text):
             text = text.replace(",", ".")
-        words = text.split() if parameter.nargs != 1 else [text]
-        return tuple(words)
+        several = parameter.nargs != 1 or parameter.multiple
+        return tuple(text.split() if several else [text])
 
     def config(self, video: str, options: Mapping[str, Given]) -> TrackingConfig:
         """The configuration of a video; raises DroptrackError for what cannot be."""
-        return self.configured([*self.words(options), "--", video])
+        tracking = {name: given for name, given in options.items() if name != ANALYSE}
+        return self.configured([*self.words(tracking), "--", video])
+
+    def analyses(self, options: Mapping[str, Given]) -> "tuple[Asked, ...]":
+        """The analyses of a video; raises DroptrackError for what cannot be."""
+        given = options.get(ANALYSE)
+        return self.asked_for(given) if isinstance(given, tuple) else ()
 
     def words(self, options: Mapping[str, Given]) -> list[str]:
         """The command line that options stand for."""
@@ -93,6 +107,8 @@ class VideoOptions:
                 words.append(parameter.opts[0])
             elif given is False:
                 words += parameter.secondary_opts[:1]  # none: left out is no
+            elif parameter.multiple:
+                words += [word for one in given for word in (parameter.opts[0], one)]
             else:
                 words += [parameter.opts[0], *given]
         return words
@@ -107,6 +123,6 @@ def merged(common: Mapping[str, Given], own: Mapping[str, Given]) -> dict[str, G
 def _given(parameter: Any, value: Any) -> Given:
     if parameter.is_flag:
         return bool(value)
-    if parameter.nargs != 1:
+    if parameter.nargs != 1 or parameter.multiple:
         return tuple(str(part) for part in value)
     return (str(getattr(value, "value", value)),)

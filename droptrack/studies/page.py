@@ -13,7 +13,8 @@ from droptrack.data.arrays import Floats
 from droptrack.data.files import read_text, write_text
 from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
-from droptrack.studies.jobs import LOG, Job
+from droptrack.studies.analyses import FOLDER
+from droptrack.studies.jobs import LOG, Job, read_kept
 from droptrack.studies.summary import Row
 
 N_BINS = 30
@@ -35,12 +36,13 @@ SHOWN = (  # of a row: what it is called, and how it is written
 STYLE = """
 body{font:15px/1.4 system-ui,sans-serif;margin:1.5rem;color:#222;background:#fafafa}
 h1{font-size:1.4rem;margin:0 0 .3rem}p{margin:.2rem 0 1rem}
-main{display:grid;grid-template-columns:repeat(auto-fill,minmax(17rem,1fr));gap:1rem}
+main{display:grid;grid-template-columns:repeat(auto-fill,minmax(17rem,1fr));gap:1rem;
+  align-items:start}
 article{background:#fff;border:1px solid #ddd;border-top:4px solid #7a9;padding:.7rem}
 article.failed,article.left{border-top-color:#c33}article.doubtful{border-top-color:#e90}
 h2{font-size:1rem;margin:0 0 .4rem;overflow-wrap:anywhere}img{width:100%;display:block}
 dl{display:grid;grid-template-columns:auto 1fr;gap:0 .8rem;margin:.5rem 0}
-dt{color:#666}dd{margin:0;text-align:right}nav a{margin-right:.7rem}
+dt{color:#666}dd{margin:0;text-align:right}nav a{margin-right:.7rem;display:inline-block}
 .why{color:#a00;overflow-wrap:anywhere}.doubt{color:#940;overflow-wrap:anywhere}
 svg{display:block;width:100%;height:auto}small{color:#666}
 """
@@ -113,10 +115,25 @@ def _card(job: Job, row: Row, diameters: Floats, limits: tuple[float, float], un
         parts.append(f'<p class="doubt">{escape(str(row["warnings"]))}</p>')
     parts.append(_list(row, job))
     links = [
-        f'<a href="{place}/{name}">{name}</a>' for name in FILES if (job.folder / name).is_file()
+        f'<a href="{place}/{file}">{name}</a>'
+        for file, name in _files(job)
+        if (job.folder / file).is_file()
     ]
     parts.append(f"<nav><small>{' '.join(links)}</small></nav>")
     return f'<article class="{_kind(row)}">{"".join(parts)}</article>'
+
+
+def _files(job: Job) -> list[tuple[str, str]]:
+    """The files in a video's folder that its card links to, and what they are called there."""
+    kept = read_kept(job.folder)
+    files = [(name, name) for name in FILES]
+    if job.config.events is not None:
+        tables = [(f"events/{name}.csv", name) for name in ("events", "passages", "stays")]
+        plots = sorted((job.folder / "events").glob("*.png")) if job.config.events.plots else []
+        files += [*tables, *((f"events/{path.name}", f"plot of {path.stem}") for path in plots)]
+    if kept is not None:
+        files += [(f"{FOLDER}/{name}.html", f"analysis of {name}") for name in kept.analysed]
+    return files
 
 
 def _list(row: Row, job: Job) -> str:

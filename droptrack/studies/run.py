@@ -6,7 +6,7 @@ import platform
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from droptrack.data.files import write_text
 from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError, InterruptedRunError
 from droptrack.pipeline.notes import Say
+from droptrack.studies.at_address import Place
 from droptrack.studies.choice import WorkersConfig, choose_workers
 from droptrack.studies.jobs import Job, job_of, left_to_do, names_before
 from droptrack.studies.lists import Entry
@@ -32,11 +33,16 @@ PACKAGES = ("numpy", "scipy", "opencv-python-headless", "openvino", "torch", "nu
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """What a batch is told: the videos, the folder for all results, and options for each video."""
+    """What a batch is told: the videos, the place for all results, and options for each video."""
 
     sources: tuple[str, ...]
-    out: Path
+    place: Place
     options: Mapping[str, Given]
+
+    @property
+    def out(self) -> Path:
+        """The folder for the results on this machine."""
+        return self.place.folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,17 +76,20 @@ def parse_part(text: str) -> tuple[int, int]:
 
 
 def plan(study: Study, options: VideoOptions, say: Say, *, redo: bool = False) -> Planned:
-    """List the videos of a study and check their options; nothing is written.
+    """List the videos of a study and check their options; no results are written.
 
     Raises DroptrackError for what cannot be as it is asked for, naming the video.
     """
     entries = find_videos(study.sources, options, say)
+    study.place.fetch()
     names = name_videos(entries, names_before(study.out))
     _say_of_clashes(entries, names, say)
     jobs = tuple(
         _job(study, options, entry, name) for entry, name in zip(entries, names, strict=True)
     )
     reasons = tuple(left_to_do(job) or ("again, as asked for" if redo else "") for job in jobs)
+    if redo:
+        jobs = tuple(replace(job, again=True) for job in jobs)
     return Planned(jobs=jobs, reasons=reasons)
 
 
@@ -115,12 +124,20 @@ def do_study(
             _write_about(study, planned, options, "none")
     except DroptrackError:
         if whole and study.out.is_dir():
-            with suppress(OSError):  # of a full disk: what ended all is what is to be said
-                write_results(study.out, planned.jobs, say)
+            with suppress(OSError, DroptrackError):  # what ended all is what is to be said
+                _write_results(study, planned, say)
         raise
     if whole:
-        return write_results(study.out, planned.jobs, say)
+        return _write_results(study, planned, say)
     return sum(bool(outcome.reason) for outcome in outcomes)
+
+
+def _write_results(study: Study, planned: Planned, say: Say) -> int:
+    """Write the tables, the data set and the page; returns how many videos have no results."""
+    study.place.fetch()  # what workers elsewhere have done
+    n_failed = write_results(study.out, planned.jobs, say)
+    study.place.send_tables()
+    return n_failed
 
 
 def _do(
@@ -142,7 +159,7 @@ def _do(
                         progress.say(f"{printable(item.name)}: failed: {item.reason}", say)
                     if item.disk_is_full:
                         raise DroptrackError(
-                            f"{study.out}: the disk is full{_so_far(outcomes, jobs)}"
+                            f"{study.place}: the disk is full{_so_far(outcomes, jobs)}"
                         )
         except KeyboardInterrupt:
             raise InterruptedRunError(f"interrupted{_so_far(outcomes, jobs)}") from None
@@ -192,8 +209,10 @@ def versions() -> dict[str, str]:
 
 def _job(study: Study, options: VideoOptions, entry: Entry, name: str) -> Job:
     try:
-        config = options.config(entry.video, merged(study.options, entry.options))
-        return job_of(name, study.out / name, config, entry.free)
+        given = merged(study.options, entry.options)
+        config = options.config(entry.video, given)
+        job = job_of(name, study.out / name, config, entry.free, options.analyses(given))
+        return replace(job, address=study.place.of(name))
     except DroptrackError as error:
         if entry.options:
             raise DroptrackError(f"{entry.where}: {error}") from None

@@ -11,6 +11,7 @@ import numpy as np
 from droptrack.data.files import read_text, replacing
 from droptrack.data.sources.opencv_names import printable
 from droptrack.errors import DroptrackError
+from droptrack.studies.analyses import numbers_of
 from droptrack.studies.columns import COLUMNS, N_FIRST
 from droptrack.studies.jobs import Job, read_kept
 from droptrack.studies.tables import Types, pyarrow
@@ -19,7 +20,9 @@ Row = dict[str, Any]
 
 
 def summarise(job: Job) -> Row:
-    """The row of a video: COLUMNS, None where nothing is known.
+    """The row of a video: COLUMNS, None where nothing is known; ``_free`` and ``_found``.
+
+    ``_free`` are the user's columns, ``_found`` the numbers of analyses and of events.
 
     `diameter_px` and `speed_px_per_frame` are means over the droplets, each counted once;
     `polydispersity` is the standard deviation of their diameters over the mean; the frequency
@@ -30,7 +33,7 @@ def summarise(job: Job) -> Row:
     row |= {"name": printable(job.name), "video": printable(job.video)}
     row |= {"state": "left", "reason": "not done yet"}
     row["weights_sha256"] = job.made_from.get("weights sha256")
-    row["_free"] = job.free
+    row |= {"_free": job.free, "_found": {}}
     if kept is None:
         return row
     row |= {"state": kept.state, "reason": kept.reason, "version": kept.version}
@@ -42,8 +45,10 @@ def summarise(job: Job) -> Row:
     try:
         report = json.loads(read_text(job.folder / "report.json"))
         row |= _numbers(report) | {key: kept.facts.get(key) for key in _EVENTS}
+        events = job.config.events is not None
+        row["_found"] = numbers_of(job.folder, kept.analysed, events=events)
     except (DroptrackError, ValueError, KeyError, TypeError) as error:
-        return row | {"state": "failed", "reason": f"report.json: {error}"}
+        return row | {"state": "failed", "reason": f"its results cannot be read: {error}"}
     return row | {"seconds": kept.seconds}
 
 
@@ -92,13 +97,14 @@ def _warnings(said: Sequence[str], video: str) -> list[str]:
 
 def write_csv(path: Path, rows: Sequence[Row], types: Types) -> None:
     """Write rows, with the free columns after the video's name and state."""
-    names = _names(types)
+    names, found = _names(types), _found(rows, types)
     with replacing(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
+        writer.writerow([*names, *found])
         for row in rows:
             cells = {**row, **dict(row["_free"])}
-            writer.writerow([_cell(cells.get(name)) for name in names])
+            numbers = [row["_found"].get(key) for key in found.values()]
+            writer.writerow([_cell(value) for value in (*map(cells.get, names), *numbers)])
 
 
 def _cell(value: Any) -> str:
@@ -118,6 +124,10 @@ def write_parquet(path: Path, rows: Sequence[Row], types: Types) -> None:
         else:
             values = [row[name] for row in rows]
         columns[name] = arrow.array(values, kinds[types.get(name) or COLUMNS[name]])
+    for name, key in _found(rows, types).items():
+        values = [row["_found"].get(key) for row in rows]
+        whole = all(isinstance(value, int) for value in values if value is not None)
+        columns[name] = arrow.array(values, kinds[int if whole else float])
     with replacing(path) as partial:
         arrow.parquet.write_table(arrow.table(columns), partial)
 
@@ -130,3 +140,12 @@ def _free(row: Row, name: str, types: Types) -> Any:
 def _names(types: Types) -> list[str]:
     own = list(COLUMNS)
     return [*own[:N_FIRST], *types, *own[N_FIRST:]]
+
+
+def _found(rows: Sequence[Row], types: Types) -> dict[str, str]:
+    """The columns of what analyses and events found, and the key of each.
+
+    They end in ``_found`` where the user has a column of the same name.
+    """
+    keys = dict.fromkeys(key for row in rows for key in row["_found"])
+    return {f"{key}_found" if key in types else key: key for key in keys}

@@ -3,20 +3,24 @@
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from droptrack.data.formats.table import Table
 from droptrack.data.formats.tables import read_csv, table_of_columns
+from droptrack.data.trajectories import TEXT
+from droptrack.data.trajectories import WHOLE as WHOLE_FURTHER
 from droptrack.errors import DroptrackError
-from droptrack.studies.jobs import Job
 from droptrack.studies.lists import is_number
 
-WHOLE = ("frame", "track_id")  # columns of whole numbers
+if TYPE_CHECKING:
+    from droptrack.studies.jobs import Job
+
+WHOLE = ("frame", "track_id", *WHOLE_FURTHER)  # columns of whole numbers
 FLAGS = ("observed", "centre_of_mass", "at_edge")  # columns of yes and no
 Types = Mapping[str, type]  # of the free columns: int, float or str
 
 
-def free_types(jobs: Sequence[Job]) -> dict[str, type]:
+def free_types(jobs: "Sequence[Job]") -> dict[str, type]:
     """The free columns of all videos, and what each holds: whole numbers, numbers, or text.
 
     Empty cells say nothing of it.
@@ -30,7 +34,7 @@ def free_types(jobs: Sequence[Job]) -> dict[str, type]:
     return types
 
 
-def free_values(job: Job, types: Types) -> dict[str, Any]:
+def free_values(job: "Job", types: Types) -> dict[str, Any]:
     """The values of a video's free columns; None where a cell is empty."""
     return {
         name: kind(text) if (text := job.free.get(name, "")) else None
@@ -84,6 +88,8 @@ def kind_of(column: str) -> Any:
     arrow = pyarrow()
     if column in FLAGS:
         return arrow.bool_()
+    if column in TEXT:
+        return arrow.string()
     return arrow.int64() if column in WHOLE else arrow.float64()
 
 

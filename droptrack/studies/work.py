@@ -18,7 +18,9 @@ from droptrack.errors import DroptrackError, InterruptedRunError
 from droptrack.pipeline.notes import Say
 from droptrack.pipeline.run import TrackingRun, run
 from droptrack.studies.addresses import local_copy
-from droptrack.studies.jobs import LOG, Job, Kept, can_resume, read_kept
+from droptrack.studies.analyses import analyse_video, remove_analyses
+from droptrack.studies.at_address import send_video
+from droptrack.studies.jobs import LOG, Job, Kept, can_resume, is_tracked, read_kept
 from droptrack.studies.outcome import Outcome
 from droptrack.studies.tables import read_table
 from droptrack.tracking.events.lineage import Kind, find_events
@@ -34,7 +36,7 @@ Tell = Callable[[int, int], object]  # frames done, and those there are, 0 where
 
 
 def do_video(job: Job, tell: Tell) -> Outcome:
-    """Track a video into its folder, going on with an earlier run of the same that was ended.
+    """Track a video into its folder, and analyse it, as far as that was not done already.
 
     Raises KeyboardInterrupt where the worker is ended: the video is to be resumed then.
     """
@@ -49,7 +51,10 @@ def do_video(job: Job, tell: Tell) -> Outcome:
         with ONE_VIDEO:
             kept, n_frames, full = _do(job, _seldom(tell))
             seconds = time.perf_counter() - began
-            replace(kept, seconds=seconds).write(job.folder)
+            kept = replace(kept, seconds=kept.seconds + seconds)
+            kept.write(job.folder)
+            if job.address:
+                kept = _sent(kept, job)
     except OSError as error:  # of the video's folder itself
         return Outcome(name=job.name, reason=_reason(error, job), disk_is_full=_fills_disk(error))
     return Outcome(
@@ -64,19 +69,23 @@ def do_video(job: Job, tell: Tell) -> Outcome:
 def _do(job: Job, tell: Tell) -> tuple[Kept, int, bool]:
     """Do a job; returns what its folder is to keep, the frames, and whether a disk is full."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    resume = can_resume(job)
-    _remove_rest(job.folder)
-    said: list[str] = []
-    kept = Kept(state="running", identity=job.identity, made_from=job.made_from)
-    done: TrackingRun | None = None
-    full = False
+    kept, resume = _beginning(job), can_resume(job)
+    if not kept.tracked:
+        _remove_rest(job.folder)
+    said = list(kept.said)
+    n_frames, full = 0, False
     with (job.folder / LOG).open("a", encoding="utf-8", errors="replace") as log:
         kept.write(job.folder)
         say = _Sayer(log, said)
         say.note(f"{job.video}: droptrack {__version__} on {platform.node()}")
         try:
-            done = _track(job, say, tell, resume=resume)
-            kept = replace(kept, state="done", facts=_facts(done))
+            if not kept.tracked:
+                done = _track(job, say, tell, resume=resume)
+                n_frames = int(str(done.report.summary["n_frames"]))
+                kept = replace(kept, tracked=True, said=tuple(said), facts=_facts(done))
+                kept.write(job.folder)  # what ends the analyses does not end this
+            kept = replace(kept, analysed=analyse_video(job.folder, job.analyses, say.note))
+            kept = replace(kept, state="done")
             say.note("done")
         except InterruptedRunError as error:
             say.note(str(error))
@@ -87,8 +96,27 @@ def _do(job: Job, tell: Tell) -> tuple[Kept, int, bool]:
             full = _fills_disk(error)
             kept = replace(kept, state="failed", reason=_reason(error, job))
             say.note(f"failed: {kept.reason}")
-    n_frames = 0 if done is None else int(str(done.report.summary["n_frames"]))
     return replace(kept, said=tuple(said)), n_frames, full
+
+
+def _sent(kept: Kept, job: Job) -> Kept:
+    """Send what a folder has to the job's address; what it is to keep after that."""
+    try:
+        send_video(job.folder, job.address)
+    except DroptrackError as error:
+        kept = replace(kept, state="failed", reason=_reason(error, job))
+        kept.write(job.folder)
+    return kept
+
+
+def _beginning(job: Job) -> Kept:
+    """What the folder keeps while a job is done: of its trajectories, where they are there."""
+    before = read_kept(job.folder)
+    new = Kept(state="running", identity=job.identity, made_from=job.made_from)
+    if before is None or not is_tracked(job, before):
+        return new
+    kept = ("version", "said", "seconds", "facts", "tracked")
+    return replace(new, **{name: getattr(before, name) for name in kept})
 
 
 def _track(job: Job, say: Say, tell: Tell, *, resume: bool) -> TrackingRun:
@@ -107,7 +135,7 @@ def _reason(error: Exception, job: Job) -> str:
     if isinstance(error, OSError):
         text = f"{error.filename or job.folder}: {error.strerror or error}"
     elif not isinstance(error, DroptrackError):
-        text = f"{type(error).__name__}: {text[:200]}; see {job.folder / LOG}"
+        text = f"{type(error).__name__}: {text[:200]}; see {job.place}/{LOG}"
     return printable(" ".join(text.split()))
 
 
@@ -120,6 +148,7 @@ def _remove_rest(folder: Path) -> None:
     if read_kept(folder) is not None and not (folder / "trajectories.csv").exists():
         for name in ("report.json", "tracked.mp4"):
             (folder / name).unlink(missing_ok=True)
+        remove_analyses(folder)
 
 
 class _Sayer:

@@ -1,8 +1,6 @@
 """Sparse assignment: which of the possible pairs of a row and a column are chosen."""
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from droptrack.data.arrays import Floats, Rows
 
@@ -38,6 +36,9 @@ def assign_sparse(
     plain = (np.bincount(rows)[rows] == 1) & (np.bincount(columns)[columns] == 1)
     if plain.all():
         return rows, columns
+    from scipy.sparse import csr_matrix  # of runs that need it
+    from scipy.sparse.csgraph import min_weight_full_bipartite_matching
+
     row_ids, row_at = _distinct(rows[~plain])
     column_ids, column_at = _distinct(columns[~plain])
     n, m = len(row_ids), len(column_ids)

@@ -1,15 +1,26 @@
 """Which points are nearest to which others."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Bools, Floats, Rows
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 MAX_PAIRS = 6000  # for which all distances take less time than a tree of the points
 ROUNDING = 1e-9  # relative, by which a search reaches further than it must
 
 
-def nearest(tree: cKDTree, points: Floats, k: int, reach: float = np.inf) -> tuple[Floats, Rows]:
+def tree_of(points: Floats) -> "cKDTree":
+    """A tree of points (N, 2)."""
+    from scipy.spatial import cKDTree  # of runs that need it
+
+    return cKDTree(points)
+
+
+def nearest(tree: "cKDTree", points: Floats, k: int, reach: float = np.inf) -> tuple[Floats, Rows]:
     """Distances (N, k) and rows (N, k) of the k points of a tree that are nearest to points.
 
     What is not nearer than `reach` has an infinite distance and no row, but takes no time.
@@ -34,7 +45,7 @@ def nearest_within(
         if np.bincount(rows).max(initial=0) <= k:
             return rows, columns, np.sqrt(squares)
     k = min(k, len(others))
-    distance, found = nearest(cKDTree(others), points, k, float(reach.max()) * (1 + ROUNDING))
+    distance, found = nearest(tree_of(others), points, k, float(reach.max()) * (1 + ROUNDING))
     rows, place, distances = _where(distance <= reach[:, None], distance)
     return rows, found[rows, place], distances
 

@@ -5,13 +5,15 @@ which a droplet and its neighbours all fall on droplets of the next frame (the r
 particle tracking velocimetry, Baek & Lee 1996).
 """
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Floats, Rows
-from droptrack.tracking.nearest import nearest
+from droptrack.tracking.nearest import nearest, tree_of
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 NEIGHBOURS = 6
 MIN_NEIGHBOURS = 3  # that make a flow
@@ -40,7 +42,7 @@ def velocity_of_neighbours(
     if len(known) < MIN_NEIGHBOURS:
         return np.zeros((n, 2)), np.full(n, np.inf)
     k = min(NEIGHBOURS, len(known))
-    distance, rows = nearest(cKDTree(known), points, k)
+    distance, rows = nearest(tree_of(known), points, k)
     near = distance < REACH * diameters[:, None]
     length = WEIGHT_LENGTH * diameters[:, None]
     weight = np.where(near, np.exp(-((distance / length) ** 2) / 2), 0)
@@ -75,7 +77,7 @@ def displacement_of_pattern(
     n = len(rows)
     if not n or len(points) <= MIN_NEIGHBOURS or not len(following):
         return np.zeros((n, 2)), np.zeros(n)
-    now, then = cKDTree(points), cKDTree(following)
+    now, then = tree_of(points), tree_of(following)
     parts = [
         _candidates(points, diameters, rows[start : start + CHUNK], now, then, reach)
         for start in range(0, n, CHUNK)
@@ -108,7 +110,7 @@ def _vote(found: _Candidates, rows: Rows, n: int, diameters: Floats) -> Rows:
 
 
 def _candidates(
-    points: Floats, diameters: Floats, rows: Rows, now: cKDTree, then: cKDTree, reach: float
+    points: Floats, diameters: Floats, rows: Rows, now: "cKDTree", then: "cKDTree", reach: float
 ) -> _Candidates:
     """Displacements to the nearest points of the next frame, those out of reach with share 0."""
     n = len(rows)

@@ -16,7 +16,7 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections
 from droptrack.data.trajectories import Trajectories, concatenate
-from droptrack.tracking.tracker import LONG_GAP, Resumption, Update
+from droptrack.tracking.tracker import LONG_GAP, Resumption, Unseen, Update
 
 NO_TRACK = 0  # the identity of rows that do not count
 # columns of a row's values; those before are x, y, cx, cy, those after N_COLUMNS are further ones
@@ -104,6 +104,7 @@ class Recorder:
         self._added: deque[int] = deque(maxlen=hold + 1)  # the last frames
         self._frames: dict[int, list[_Rows]] = {}
         self._last: dict[int, int] = {}  # the frame in which each living track was last seen
+        self._open: dict[int, list[tuple[int, int]]] = {}  # gaps of tracks not confirmed yet
         self._confirmed: set[int] = set()  # all of which there are rows
         self._terminated: deque[tuple[int, int]] = deque()  # frames, and tracks terminated in them
 
@@ -127,16 +128,27 @@ class Recorder:
             self._add_again(update.again)
         self._add(frame, values, update)
 
+    def add_end(self, update: Update) -> None:
+        """Take what is known only after the last frame."""
+        if update.again:
+            self._add_again(update.again)
+        self._confirm(update.confirmed)
+        self._add_unseen(update.unseen)
+
     def _add_again(self, updates: Sequence[Update]) -> None:
         """All frames since the first box once more, with other tracks."""
         frames = list(self._added)[-len(updates) :]
-        values = [self._frames.pop(frame)[0].values for frame in frames]
+        values = [self._frames[frame][0].values for frame in frames]
+        for frame in [one for one in self._frames if one >= frames[0]]:  # and those left out
+            del self._frames[frame]
         self.gaps.clear()
         self._last.clear()
+        self._open.clear()
         self._confirmed.clear()
         self._terminated.clear()
-        for frame, one, update in zip(frames, values, updates, strict=True):
+        for _ in frames:
             self._added.pop()
+        for frame, one, update in zip(frames, values, updates, strict=True):
             self._add(frame, one, update)
 
     def _add(self, frame: int, values: Floats, update: Update) -> None:
@@ -145,15 +157,44 @@ class Recorder:
             self._merge(old, new)
         self._added.append(frame)
         self._frames[frame] = [_Rows(update.track_ids.copy(), values, observed=True)]
-        self._confirmed.update(update.confirmed)
+        self._confirm(update.confirmed)
         seen = update.track_ids.tolist()
         for track_id in [one for one in seen if self._last.get(one, frame - 1) < frame - 1]:
+            gap = (self._last[track_id], frame)
             if track_id in self._confirmed:
-                self._bridge(track_id, frame)
+                self._bridge(track_id, *gap)
+            else:
+                self._open.setdefault(track_id, []).append(gap)
         self._last.update(dict.fromkeys(seen, frame))
+        self._add_unseen(update.unseen)
         for track_id in update.terminated:
             self._last.pop(track_id, None)
+            self._open.pop(track_id, None)
             self._terminated.append((frame, track_id))
+
+    def _confirm(self, track_ids: tuple[int, ...]) -> None:
+        """Take tracks as droplets, with the gaps that they had before."""
+        self._confirmed.update(track_ids)
+        for track_id in self._open.keys() & track_ids:
+            for gap in self._open.pop(track_id):
+                self._bridge(track_id, *gap)
+
+    def _add_unseen(self, unseen: tuple[Unseen, ...]) -> None:
+        """Add the frames in which droplets were in view but not seen, with score 0."""
+        for one in unseen:
+            place = len(self._added) - 1 - one.ago
+            values = self._values_of(one.track_id, self._added[place])
+            for k in range(one.way, one.way * (one.n_frames + 1), one.way):
+                moved = values.copy()
+                moved[:WIDTH] += np.tile(one.velocity, 2) * k
+                self._add_unobserved(one.track_id, self._added[place + k], moved)
+
+    def _add_unobserved(self, track_id: int, frame: int, values: Floats) -> None:
+        """Add a row of a droplet that has no box."""
+        values[[SCORE, MEASURED]] = 0
+        values[N_COLUMNS:] = np.nan
+        row = _Rows(np.array([track_id]), values[None], observed=False)
+        self._frames.setdefault(frame, []).append(row)
 
     def rows_of(self, frame: int) -> list[Row]:
         """The rows of a frame so far; the last few frames may still get more."""
@@ -180,6 +221,7 @@ class Recorder:
     def _merge(self, old: int, new: int) -> None:
         """Give an old track a new one's rows; where it has its own, the larger box counts."""
         self._last.pop(new, None)
+        self._open.pop(new, None)
         for frame in list(self._frames):
             added, own = self._row_of(new, frame), self._row_of(old, frame)
             if added is None:
@@ -190,12 +232,11 @@ class Recorder:
                 smaller, at = own if _area(added) > _area(own) else added
                 smaller.ids[at] = NO_TRACK
             elif frame > self._last[old]:
-                self._bridge(old, frame)
+                self._bridge(old, self._last[old], frame)
                 self._last[old] = frame
 
-    def _bridge(self, track_id: int, frame: int) -> None:
-        """Fill the frames since the track was last seen, on a straight line, with score 0."""
-        start = self._last[track_id]
+    def _bridge(self, track_id: int, start: int, frame: int) -> None:
+        """Fill the frames between two in which it was seen, on a straight line, with score 0."""
         before, now = self._values_of(track_id, start), self._values_of(track_id, frame)
         if frame - start - 1 > LONG_GAP:
             known = self._resumed.pop(track_id, Resumption(track_id, math.nan, against_flow=False))
@@ -204,11 +245,7 @@ class Recorder:
             self.gaps.append(gap)
         for between in range(start + 1, frame):
             share = (between - start) / (frame - start)
-            values = (1 - share) * before + share * now
-            values[[SCORE, MEASURED]] = 0
-            values[N_COLUMNS:] = np.nan
-            bridge = _Rows(np.array([track_id]), values[None], observed=False)
-            self._frames.setdefault(between, []).append(bridge)
+            self._add_unobserved(track_id, between, (1 - share) * before + share * now)
 
     def _row_of(self, track_id: int, frame: int) -> "tuple[_Rows, int] | None":
         """Where the row of a track is."""

@@ -100,6 +100,7 @@ class TrackingSession:
 
     def finish(self) -> Recorded:
         """The rows that are left; if there were too few frames to confirm any track, of all."""
+        self._recorder.add_end(self._tracker.finish())
         return self._recorder.take_rest(unconfirmed=self.n_frames < self._tracker.n_init)
 
     def _track(

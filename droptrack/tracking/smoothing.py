@@ -54,6 +54,8 @@ class Smoother:
             return
         self._held.append(recorded)
         noise = np.where(recorded.measured, CENTRE_OF_MASS_NOISE, BOX_CENTRE_NOISE)
+        # of a droplet that was not seen yet, the place is hardly known either
+        noise = np.where(rows.observed, noise, EDGE_NOISE)
         if (at_edge := rows.columns.get("at_edge")) is not None:
             noise = np.where(at_edge == 1, EDGE_NOISE, noise)
         columns = np.column_stack(

@@ -21,6 +21,20 @@ class Resumption(NamedTuple):
     against_flow: bool
 
 
+class Unseen(NamedTuple):
+    """A droplet that was in view but not seen, next to its first box or after its last one.
+
+    `ago`: frames since that box; `way`: -1 if it was the first one, 1 if it was the last;
+    `n_frames` further that way it was in view; `velocity`: there.
+    """
+
+    track_id: int
+    ago: int
+    way: int
+    n_frames: int
+    velocity: Velocity
+
+
 @dataclass(frozen=True, kw_only=True)
 class Update:
     """What one frame did.
@@ -29,8 +43,9 @@ class Update:
     now on, their earlier detections too; terminated: tracks that will not be seen again; merged:
     pairs of a track, not confirmed before, and the older one that it turned out to continue, whose
     identity it has from this frame on; resumed: droplets seen again after a long gap, in tracks as
-    they are named after `merged`; again: what all frames until this one did, from the first with a
-    box on, in place of what was said then; they are `delay` at most.
+    they are named after `merged`; unseen: droplets that turned out to have been in view before
+    their first box, or after their last; again: what all frames until this one did, from the first
+    with a box on, in place of what was said then; they are `delay` at most.
     """
 
     track_ids: Rows
@@ -38,6 +53,7 @@ class Update:
     terminated: tuple[int, ...] = ()
     merged: tuple[tuple[int, int], ...] = ()
     resumed: tuple[Resumption, ...] = ()
+    unseen: tuple[Unseen, ...] = ()
     again: "tuple[Update, ...]" = ()
 
 
@@ -66,6 +82,9 @@ class Tracker(Protocol):
         `image`: whether there is an image of the frame, in which droplets can be missed; None where
         nobody knows.
         """
+
+    def finish(self) -> Update:
+        """What is known once the last frame has been seen; it has no detections."""
 
 
 def check_descriptors(boxes: Floats, descriptors: Floats) -> None:

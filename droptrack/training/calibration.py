@@ -10,17 +10,13 @@ import numpy as np
 from droptrack.data.arrays import Float32s
 from droptrack.data.darknet_dataset import DataSet, read_image
 from droptrack.data.degradation import degrade
+from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector, Engine
 from droptrack.detection.scale import STRIDE
 from droptrack.errors import DroptrackError
-from droptrack.evaluation.average_precision import MAX_IOU, MIN_SCORE
-from droptrack.evaluation.network_scores import (
-    LabelledImage,
-    one_by_one,
-    read_labelled,
-    score_detections,
-)
+from droptrack.evaluation.average_precision import MAX_IOU, MIN_SCORE, Pair, average_precision
+from droptrack.evaluation.network_scores import LabelledImage, one_by_one, read_labelled
 from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.network.darknet_weights import Weights, read_weights
 from droptrack.network.pruning import (
@@ -44,6 +40,7 @@ from droptrack.progress import with_progress
 PRUNING_ERROR = 2e-4  # docs/performance.md
 MAX_LOSSES = (MAX_LOSS, 0.01)  # of mAP, on images as they are and degraded; above, prune less
 CHECKED_SIZES = (0.5, 1.0, 1.4)  # of the cfg's input, for a calibration that holds for any
+KNOWN_PX = (8.0, 240.0)  # sizes of droplets in the input that count at these sizes
 ZOOMS = (0.35, 1.6)  # that images are shown at for it
 TRIES = 3  # errors to prune for, before nothing is pruned
 PRUNED_LESS = 4  # how much smaller the error is at the next try
@@ -62,11 +59,12 @@ def calibrate(
     """Prune a network, measure the ranges that int8 needs, check the cost in mAP, and keep it.
 
     It holds for the cfg's input size; with `any_size` for others, too: then images are also shown
-    larger and smaller, and the cost is the mean of that at CHECKED_SIZES times the cfg's. Ranges
-    come from the first `images` training images, mAPs from the first `checked` validation images;
-    `error` is what pruning may change (`choose_pruning`), 0 for no pruning. Where int8 costs more
-    than MAX_LOSSES, less is pruned. Returns the file written. Raises DroptrackError where OpenVINO
-    is not installed, and where int8 costs more than MAX_LOSS without pruning, too.
+    larger and smaller, and the cost is the mean of that at CHECKED_SIZES times the cfg's, of
+    droplets that the input shows with KNOWN_PX: others are for other scales. Ranges come from the
+    first `images` training images, mAPs from the first `checked` validation images; `error` is what
+    pruning may change (`choose_pruning`), 0 for no pruning. Where int8 costs more than MAX_LOSSES,
+    less is pruned. Returns the file written. Raises DroptrackError where OpenVINO is not installed,
+    and where int8 costs more than MAX_LOSS without pruning, too.
     """
     try:
         from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
@@ -77,7 +75,9 @@ def calibrate(
     cfgs = _checked_sizes(cfg) if any_size else [cfg]
 
     def maps(engines: Iterable[Engine]) -> tuple[float, float]:
-        return _mean([mean_average_precisions(engine, valid) for engine in engines])
+        shown = [(one.width, one.height) if any_size else None for one in cfgs]
+        pairs = zip(engines, shown, strict=True)
+        return _mean([mean_average_precisions(engine, valid, size) for engine, size in pairs])
 
     map_fp32 = maps(OpenVinoEngine(one, values, "fp32", MIN_SCORE) for one in cfgs)
     frames = functools.partial(_frames, train, zoomed=any_size)
@@ -119,15 +119,35 @@ def _mean(maps: Sequence[tuple[float, float]]) -> tuple[float, float]:
     return plain, degraded
 
 
-def mean_average_precisions(engine: Engine, images: Sequence[Path]) -> tuple[float, float]:
-    """mAP@0.50 on images of a data set as they are, and degraded."""
+def mean_average_precisions(
+    engine: Engine, images: Sequence[Path], size: tuple[int, int] | None = None
+) -> tuple[float, float]:
+    """mAP@0.50 on images of a data set as they are, and degraded.
+
+    `size` (width, height) px of the input: only of droplets that it shows with KNOWN_PX.
+    """
     detect = one_by_one(Detector(engine, MIN_SCORE, MAX_IOU, greedy=True))
+
+    def pairs(labelled: Iterable[LabelledImage]) -> Iterator[Pair]:
+        for image, ground_truth in labelled:
+            found = detect(image)
+            if size is None:
+                yield found, ground_truth
+            else:
+                scale = np.sqrt(np.prod(size) / np.prod(image.shape[:2]))
+                yield _known(found, scale), _known(ground_truth, scale)
 
     def mean(labelled: Iterable[LabelledImage]) -> float:
         counted = with_progress(labelled, len(images), engine.name, "images")
-        return score_detections(detect, counted).average_precision
+        return average_precision(pairs(counted)).average_precision
 
     return mean(read_labelled(images)), mean(_degraded(read_labelled(images)))
+
+
+def _known(droplets: Detections, scale: float) -> Detections:
+    """Those of the sizes that count, where the input has `scale` px for a px of the image."""
+    sides = np.sqrt(droplets.boxes[:, 2:].prod(axis=1)) * scale
+    return droplets[(sides >= KNOWN_PX[0]) & (sides <= KNOWN_PX[1])]
 
 
 def _degraded(labelled: Iterable[LabelledImage]) -> Iterator[LabelledImage]:

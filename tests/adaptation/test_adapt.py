@@ -17,7 +17,7 @@ from bench.random_network import random_weights
 from droptrack.__main__ import app
 from droptrack.adaptation import training_set
 from droptrack.data.darknet_dataset import label_text, read_data_file, read_scenes
-from droptrack.network.bundled import BUNDLED_WEIGHTS, find_network
+from droptrack.network.bundled import FOOTAGE, MODELS, find_network
 from droptrack.network.darknet_cfg import read_cfg
 from droptrack.network.darknet_weights import read_weights
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
@@ -63,10 +63,10 @@ def adapted(video: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
         patch.setattr(training_set, "N_VALID", 1)
         patch.setattr(training_set, "SHARES", {"seen": 0.4, "pasted": 0.3, "drawn": 0.3})
         out = tmp_path_factory.mktemp("adapted") / "out"
-        bundled = digest(BUNDLED_WEIGHTS)
+        bundled = digest(MODELS[FOOTAGE])
         code, said = adapt(video, "--out", out)
         assert code == 0, said
-        assert digest(BUNDLED_WEIGHTS) == bundled
+        assert digest(MODELS[FOOTAGE]) == bundled
     return out, said
 
 
@@ -76,7 +76,7 @@ def test_a_video_gives_weights_that_can_track_it(adapted: tuple[Path, str], vide
     cfg = read_cfg(out / "adapted.cfg")
     assert (cfg.width, cfg.height) == (320, 160)
     weights = read_weights(out / "adapted.weights", cfg)
-    assert (weights.values != read_weights(BUNDLED_WEIGHTS, find_network()[0]).values).any()
+    assert (weights.values != read_weights(MODELS[FOOTAGE], find_network()[0]).values).any()
     assert "long and steady tracks in 16 frames; 4 frames are kept back" in " ".join(said.split())
     tracked = CliRunner().invoke(
         app,
@@ -142,7 +142,7 @@ def test_an_interrupted_adaptation_resumes_to_the_same_weights(
     cfg = read_cfg(tmp_path / "out/adapted.cfg")
     resumed = read_weights(tmp_path / "out/adapted.weights", cfg).values
     whole = read_weights(adapted[0] / "adapted.weights", cfg).values
-    learned = np.abs(whole - read_weights(BUNDLED_WEIGHTS, find_network()[0]).values)
+    learned = np.abs(whole - read_weights(MODELS[FOOTAGE], find_network()[0]).values)
     assert np.abs(resumed - whole).max() < 0.01 * learned.max()
 
 

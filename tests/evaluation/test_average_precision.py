@@ -96,3 +96,17 @@ def test_cocos_precision_counts_more_than_a_hundred_droplets() -> None:
     assert coco_average_precision(pairs) == pytest.approx((1, 1))
     assert coco_average_precision([(found([], []), labels(truth))]) == (0, 0)
     assert np.isnan(coco_average_precision([(found([A], [0.9]), labels([]))])).all()
+
+
+def test_classes_have_their_own_curves_and_the_mean_is_over_classes() -> None:
+    """0: hit, false, hit of two, 5/6. 1: one of two, 1/2. 2: taken for 1, 0. 3: not labelled."""
+    boxes = [A, NOWHERE, B, C, [100.0, 40, 8, 8], [130.0, 40, 8, 8]]
+    seen = Detections(
+        np.array(boxes), np.array([0.9, 0.8, 0.7, 0.9, 0.1, 0.6]), np.array([0, 0, 0, 1, 1, 3])
+    )
+    there = Detections(
+        np.array([A, B, C, [160.0, 40, 8, 8], boxes[4]]), np.ones(5), np.array([0, 0, 1, 1, 2])
+    )
+    result = average_precision([(seen, there)])
+    assert result.of_classes == pytest.approx({0: 5 / 6, 1: 1 / 2, 2: 0})
+    assert result.average_precision == pytest.approx((5 / 6 + 1 / 2) / 3)

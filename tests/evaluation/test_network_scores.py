@@ -5,12 +5,15 @@ import shutil
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from data_gen.scenes.dataset import Recipe, make_dataset
+from data_gen.scenes.shapes import draw_ellipses
 from droptrack.data.darknet_dataset import read_data_file, read_image, read_scenes
 from droptrack.evaluate import app
+from tests.pipeline.two_classes import write_two_classes
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +94,35 @@ def test_half_a_question_is_refused(data: Path, tmp_path: Path) -> None:
         assert "give GROUND_TRUTH.csv and TRAJECTORIES.csv, or --data obj.data" in result.output
     missing = CliRunner().invoke(app, ["--data", str(data.parent / "no.data")])
     assert "no.data: no such file" in missing.output
+
+
+def test_each_class_has_its_precision_by_the_command(tmp_path: Path) -> None:
+    """Five images of a disc of 32 px, small, and one of 120 px, large.
+
+    In one image the large disc is labelled small: of small ones 5 of 6 are found and nothing else,
+    5/6. Of four large ones all are found, with one false among them: at least 4/5.
+    """
+    weights = write_two_classes(tmp_path)
+    lines = []
+    for t in range(5):
+        canvas = np.zeros((480, 960), np.uint8)
+        draw_ellipses(canvas, np.array([[60.0 + 9 * t, 60, 16, 16, 0], [250, 250, 60, 60, 0]]), 255)
+        path = tmp_path / f"{t}.png"
+        cv2.imwrite(str(path), canvas)
+        boxes = (0, (60.0 + 9 * t, 60, 32)), (int(t > 0), (250, 250, 120))
+        labels = [f"{k} {x / 960} {y / 480} {w / 960} {w / 480}" for k, (x, y, w) in boxes]
+        path.with_suffix(".txt").write_text("\n".join(labels) + "\n")
+        lines.append(f"{path}\n")
+    for name in ("train.txt", "valid.txt"):
+        (tmp_path / name).write_text("".join(lines))
+    data = tmp_path / "obj.data"
+    data.write_text("classes = 2\ntrain = train.txt\nvalid = valid.txt\nnames = two.names\n")
+    arguments = ["--data", str(data), "--weights", str(weights), "--json", str(tmp_path / "r.json")]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "r.json").read_text())["summary"]
+    small, large = (one.split() for one in summary["ap_50_of_class"])
+    assert (small[0], large[0]) == ("small", "large")
+    assert float(small[1]) == pytest.approx(5 / 6, abs=1e-4)
+    assert 0.8 <= float(large[1]) <= 1
+    assert summary["map_50"] == pytest.approx((5 / 6 + float(large[1])) / 2, abs=1e-4)

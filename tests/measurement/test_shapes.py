@@ -149,6 +149,25 @@ def test_a_packing_is_measured_through_its_films(gap: float, most: float) -> Non
     assert np.sqrt((error**2).mean()) < most
 
 
+@pytest.mark.parametrize(("gap", "most"), [(1.0, 0.1), (2.0, 0.05), (4.0, 0.05)])
+@pytest.mark.parametrize("ring", [20, 230], ids=["dark", "bright"])
+def test_rings_in_a_packing_are_measured_though_they_run_into_each_other(
+    ring: int, gap: float, most: float
+) -> None:
+    """A hexagonal packing of 19 rings 3 px wide, 15 px in radius, on a ground of 120 levels."""
+    row, line = np.mgrid[-2:3, -3:4].reshape(2, -1)
+    places = np.column_stack([line + (row % 2) / 2, row * np.sqrt(0.75)]) * (30.0 + gap)
+    places = places[np.hypot(*places.T) < 75] + [120.3, 119.6]
+    drawn = np.column_stack([places, np.full((19, 2), 15.0), np.zeros(19)])
+    canvas = np.full((240, 240), 120, np.uint8)
+    draw_ellipses(canvas, drawn, ring)
+    draw_ellipses(canvas, drawn - [0, 0, 3, 3, 0], 125)
+    found = measure(canvas, shaken(np.random.default_rng(0), ellipse_boxes(drawn)))
+    error = column(found, "diameter_px") - 30
+    assert np.sqrt((error**2).mean()) < most
+    assert np.abs(column(found, "deformation")).max() < 0.01
+
+
 def test_a_bent_shape_has_the_area_of_its_contour() -> None:
     """r = 30 (1 + 0.15 cos 3 t): its area is 900 pi (1 + 0.15^2 / 2)."""
     angles = np.arange(256) * 2 * np.pi / 256

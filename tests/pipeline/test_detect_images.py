@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from typer.testing import CliRunner
 
 from data_gen.scenes.shapes import draw_ellipses
@@ -81,7 +82,7 @@ def test_faint_and_red_images_are_seen_as_clearly_as_white_ones(tmp_path: Path) 
     assert (red_one, white_one) == ("the red channel", "")
 
 
-def test_the_model_of_footage_finds_rims_at_a_scale_of_its_own_choice(tmp_path: Path) -> None:
+def test_rims_are_found_at_a_scale_of_its_own_choice(tmp_path: Path) -> None:
     """Nine dark rings on grey by hand, the same grey inside and out, 140 px and so too large."""
     canvas = np.full((760, 900), 150, np.uint8)
     places = [(160.0 + 280 * column, 130.0 + 250 * row) for column in range(3) for row in range(3)]
@@ -201,3 +202,90 @@ def test_results_are_overwritten_only_where_they_are_of_the_same_images(tmp_path
     code, said = detect(str(two), "--out", str(out), "--overwrite")
     assert (code, "results of other images" in said) == (1, True)
     assert len(rows_of(out)) == 1
+
+
+DISCS = [(100.25, 120.0, 30.0), (300.0, 200.5, 40.0)]
+
+
+def tiff_of(path: Path, pixels_per_um: float) -> None:
+    """The two discs as ImageJ writes an image."""
+    image_of(path.with_suffix(".png"), DISCS, (500, 400))
+    canvas = np.asarray(cv2.imread(str(path.with_suffix(".png")), cv2.IMREAD_GRAYSCALE))
+    path.with_suffix(".png").unlink()
+    about = {"axes": "YX", "unit": "um"}
+    tifffile.imwrite(
+        path, canvas, imagej=True, resolution=(pixels_per_um, pixels_per_um), metadata=about
+    )
+
+
+def white_in_the_corner(path: Path) -> int:
+    """How long a scale bar is, px: the white of a line near the lower edge, on black."""
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    assert image is not None
+    return int((image[-12] > 200).sum())
+
+
+def test_sizes_are_in_micrometres_where_a_pixel_is_known(tmp_path: Path) -> None:
+    """0.5 um a px, 500 px wide: a bar of 50 um is 100 px long, 101 with its ends."""
+    path, out = tmp_path / "one.png", tmp_path / "out"
+    image_of(path, DISCS, (500, 400))
+    code, said = detect(str(path), "--out", str(out), "--known-length", "0,0,300,400,250")
+    assert code == 0, said
+    for row in rows_of(out):
+        for name, in_um in (("x", 0.5), ("w", 0.5), ("diameter_px", 0.5), ("area_px2", 0.25)):
+            other = {"diameter_px": "diameter_um", "area_px2": "area_um2"}.get(name, f"{name}_um")
+            assert float(row[other]) == pytest.approx(in_um * float(row[name]), abs=2e-6)
+    report = json.loads((out / "report.json").read_text())
+    assert report["settings"]["um_per_px"] == 0.5
+    for one in (report["summary"], report["droplets"][0]):
+        assert one["mean_diameter_um"] == pytest.approx(35, abs=0.02)  # of 30 and 40
+        assert one["std_diameter_um"] == pytest.approx(5, abs=0.02)
+        assert one["coefficient_of_variation"] == pytest.approx(1 / 7, abs=1e-3)
+    assert white_in_the_corner(out / "annotated" / "one.jpg") == pytest.approx(101, abs=3)
+
+
+def test_each_image_has_the_pixels_that_its_file_says(tmp_path: Path) -> None:
+    """The same discs at 0.5 and 0.25 um a px, and in a file that does not say it."""
+    tiff_of(tmp_path / "a.tif", 2)
+    tiff_of(tmp_path / "b.tif", 4)
+    image_of(tmp_path / "c.png", DISCS, (500, 400))
+    out = tmp_path / "out"
+    images = [str(tmp_path / name) for name in ("c.png", "a.tif", "b.tif")]
+    code, said = detect(*images, "--out", str(out), "--backend", "opencv")
+    assert code == 0, said
+    assert "a.tif: a pixel is 0.5 um wide, as the file says" in said
+    assert "b.tif: a pixel is 0.25 um wide" in said
+    assert "1 of 3 images do not say how wide a pixel is" in said
+    um = [float(row["diameter_um"]) for row in rows_of(out)]
+    px = [float(row["diameter_px"]) for row in rows_of(out)]
+    np.testing.assert_allclose(um, np.array(px) * np.repeat([np.nan, 0.5, 0.25], 2), atol=2e-6)
+    report = json.loads((out / "report.json").read_text())
+    assert [row["um_per_px"] for row in report["droplets"]] == [None, 0.5, 0.25]
+    summary = report["summary"]
+    assert summary["n_images_without_um"] == 1
+    assert summary["mean_diameter_um"] == pytest.approx((35 + 17.5) / 2, abs=0.02)
+    assert white_in_the_corner(out / "annotated" / "c.jpg") == 0
+    # of images of one kind that vary in magnification alone, droplets do not vary more
+    other = tmp_path / "other"
+    assert detect(*images[1:], "--out", str(other), "--backend", "opencv", "--no-images")[0] == 0
+    vary = json.loads((other / "report.json").read_text())["summary"]["coefficient_of_variation"]
+    four = np.array([30, 40, 15, 20])
+    assert vary == pytest.approx(four.std() / four.mean(), abs=2e-3)
+
+
+def test_micrometres_are_left_out_where_they_are_not_wanted_and_refused_where_wrong(
+    tmp_path: Path,
+) -> None:
+    tiff_of(tmp_path / "a.tif", 2)
+    out = tmp_path / "out"
+    code, said = detect(str(tmp_path / "a.tif"), "--out", str(out), "--pixels-only", "--no-images")
+    assert code == 0, said
+    assert "diameter_um" not in rows_of(out)[0]
+    for options, problem in (
+        (("--um-per-px", "0"), "--um-per-px 0: should be above 0"),
+        (("--um-per-px", "1", "--pixels-only"), "not both"),
+        (("--known-length", "5,5,5,5,100"), "the places and the length should be apart"),
+    ):
+        code, said = detect(str(tmp_path / "a.tif"), "--out", str(tmp_path / "no"), *options)
+        assert (code, problem in said) == (1, True)
+        assert not (tmp_path / "no").exists()

@@ -66,3 +66,32 @@ def test_droplets_enter_and_leave_at_the_side_that_they_go_through() -> None:
     entered, left = paths.passages(100, 50)
     assert counted(entered) == ["left 1", "top 1"]
     assert counted(left) == ["right 1", "inside 1"]
+
+
+def test_droplets_enter_and_leave_at_the_border_that_cuts_them() -> None:
+    """In 200 x 200 px, from 60 to 140 px in x: one passes, cut at both ends; one is lost whole."""
+    passing, lost = np.arange(60, 141, 10), np.arange(80, 121, 10)
+    at = np.concatenate([passing, lost]).astype(float)
+    frames = np.concatenate([np.arange(1, 10), np.arange(1, 6)])
+    cut = np.isin(at, [60, 140]).astype(float)
+    n = len(at)
+    y = np.full(n, 100.0)
+    boxes = np.column_stack([at, y, np.full((n, 2), 20.0)])
+    paths = Paths()
+    for some in (slice(9), slice(9, n)):
+        ids = np.full(n, 1 if some.start is None else 2)
+        paths.add(
+            sorted_trajectories(
+                frames[some],
+                ids[some],
+                at[some],
+                y[some],
+                boxes[some],
+                np.ones(n)[some],
+                np.ones(n, bool)[some],
+                {"at_edge": cut[some]},
+            )
+        )
+    paths.add(rows([(t, 3, 90.0, 30.0, True) for t in range(12)]))
+    entered, left = paths.passages(200, 200)
+    assert (counted(entered), counted(left)) == (["border 1", "inside 1"], ["border 1", "inside 1"])

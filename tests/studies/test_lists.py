@@ -62,13 +62,15 @@ def test_spreadsheets_put_a_mark_semicolons_and_decimal_commas(tmp_path: Path) -
 def test_every_kind_of_option_can_stand_in_a_list(tmp_path: Path) -> None:
     (entry,) = listed(
         tmp_path,
-        "video\tscore\tlevels\tno_video\tshape\ttracker\tappearance_size\texpect-velocity\n"
-        "b.tif\t0.5\t100 4000\t1\tno\tdroplet\t\t24,-1.5\n",
+        "video\tscore\tlevels\tno_video\tshape\ttracker\tappearance_size\texpect-velocity\tline\n"
+        "b.tif\t0.5\t100 4000\t1\tno\tdroplet\t\t24,-1.5\t1,0,1,9 5,0,5,9\n",
     )
     one = config(entry)
     assert (one.score, one.reading.levels, one.annotated_video) == (0.5, (100.0, 4000.0), False)
     assert (one.shape, one.tracker.name) == (False, TrackerName.droplet)
     assert one.tracker.expect_velocity == (24.0, -1.5)
+    assert one.events is not None
+    assert one.events.lines == ("1,0,1,9", "5,0,5,9")
 
 
 def test_a_videos_own_scale_takes_the_place_of_the_one_for_all(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Columns of one's own, and tables that are read fast."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from droptrack.data.formats.tables import read_csv
 from droptrack.data.trajectories import FIELDS, TrajectoryWriter, sorted_trajectories
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.studies.data_set import write_data_set
 from droptrack.studies.jobs import Job
 from droptrack.studies.tables import free_types, free_values, read_table
 
@@ -59,11 +61,29 @@ def test_a_table_is_read_as_it_is_without_pyarrow(tmp_path: Path, n: int) -> Non
     diameter = np.where(rows.observed, rows.x, np.nan)
     path = tmp_path / "trajectories.csv"
     about = {"video": "a.avi, 640 x 480 px, 25 frames/s", "note": "a: b", "units": "px"}
-    with TrajectoryWriter(path, about, ("diameter_px", "at_edge")) as writer:
-        writer.write(rows, (diameter, rows.observed))
+    ids = np.where(rows.observed, rows.frame % 2, -1)
+    names = np.array(['a, "b"', "full", ""])[ids]
+    columns = ("diameter_px", "at_edge", "class_id", "class_name")
+    with TrajectoryWriter(path, about, columns) as writer:
+        writer.write(rows, (diameter, rows.observed, ids, names))
     fast, slow = read_table(path), read_csv(path)
     assert fast.size == slow.size == (640, 480)
     for name in FIELDS:
         np.testing.assert_array_equal(getattr(fast.rows, name), getattr(slow.rows, name))
     for name, column in slow.rows.columns.items():
         np.testing.assert_array_equal(fast.rows.columns[name], column)
+
+
+def test_names_of_classes_are_in_the_data_set(tmp_path: Path) -> None:
+    arrow = pytest.importorskip("pyarrow.parquet")
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "trajectories.csv").write_text(
+        "# video: a.avi\nframe,track_id,x,y,w,h,score,observed,class_id,class_name\n"
+        "0,1,2,3,4,5,0.5,1,1,two cells\n1,1,2,3,4,5,0.5,0,-1,\n"
+    )
+    write_data_set(tmp_path / "set", [replace(job(), folder=tmp_path / "a")], {})
+    found = arrow.read_table(tmp_path / "set").to_pydict()
+    assert found["class_name"] == ["two cells", ""]
+    assert found["class_id"] == [1, -1]
+    assert found["observed"] == [True, False]
+    assert found["video"] == ["a", "a"]

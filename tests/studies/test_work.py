@@ -12,6 +12,7 @@ from droptrack.errors import DroptrackError
 from droptrack.pipeline.run import run
 from droptrack.studies import local, work
 from droptrack.studies import run as study_run
+from droptrack.studies.at_address import Place
 from droptrack.studies.jobs import LOG, Job, job_of, left_to_do, read_kept
 from droptrack.studies.local import LocalWorkers, fitting_workers
 from droptrack.studies.options import Given
@@ -76,7 +77,7 @@ def test_a_full_disk_ends_the_study_and_keeps_what_was_done(
 ) -> None:
     for name in "abc":
         clips(tmp_path / f"{name}.avi", 0, 2)
-    study = Study(sources=(str(tmp_path / "*.avi"),), out=tmp_path / "out", options=FAST)
+    study = Study(sources=(str(tmp_path / "*.avi"),), place=Place(tmp_path / "out"), options=FAST)
     planned = plan(study, OPTIONS, print)
 
     def full(config: object, *rest: object, **options: object) -> object:
@@ -132,6 +133,17 @@ def test_a_video_that_kills_its_workers_is_given_up_and_others_are_done(
     assert outcomes["a"] == outcomes["b"] == ""
     assert "was killed by signal 9 (for want of memory?), again and again" in outcomes["bad"]
     assert sum(isinstance(one, Note) for one in told) == 2  # tried again twice
+
+
+def test_a_worker_that_is_killed_while_it_starts_is_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(local, "MODULE", "tests.studies.process_killed_at_start")
+    monkeypatch.setenv("KILLED_BEFORE", str(tmp_path / "killed"))
+    told = list(LocalWorkers(1).work([job(tmp_path / "a.avi", tmp_path)]))
+    assert [one.reason for one in told if isinstance(one, Outcome)] == [""]
+    (note,) = (one.text for one in told if isinstance(one, Note))
+    assert "was killed by signal 9 (for want of memory?) while it started" in note
 
 
 def test_a_worker_that_cannot_start_is_said_so(

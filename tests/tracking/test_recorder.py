@@ -3,7 +3,7 @@ import pytest
 
 from droptrack.data.detections import Detections
 from droptrack.tracking.recorder import Recorded, Recorder
-from droptrack.tracking.tracker import Resumption, Update
+from droptrack.tracking.tracker import Resumption, Unseen, Update
 
 
 def add(
@@ -14,6 +14,7 @@ def add(
     terminated: tuple[int, ...] = (),
     merged: tuple[tuple[int, int], ...] = (),
     resumed: tuple[Resumption, ...] = (),
+    unseen: tuple[Unseen, ...] = (),
     again: tuple[Update, ...] = (),
 ) -> None:
     """Droplets by identity at x = y = where, boxes of 10 px."""
@@ -27,6 +28,7 @@ def add(
         terminated=terminated,
         merged=merged,
         resumed=resumed,
+        unseen=unseen,
         again=again,
     )
     recorder.add(frame, found, centres, np.ones(len(ids), bool), update)
@@ -69,6 +71,30 @@ def test_a_gap_is_bridged_on_a_straight_line_and_said_to_be() -> None:
     assert table(rows) == [(0, 1, 10, True), (1, 1, 12, False), (2, 1, 14, False), (3, 1, 16, True)]
     assert rows.rows.scores.tolist() == [0.9, 0, 0, 0.9]
     assert rows.measured.tolist() == [True, False, False, True]
+
+
+@pytest.mark.parametrize("confirmed_at", [2, 3])
+def test_a_gap_before_confirmation_is_bridged_too(confirmed_at: int) -> None:
+    recorder = Recorder(hold=30)
+    for frame, where in enumerate([{1: 10.0}, {}, {1: 14.0}, {1: 16.0}]):
+        add(recorder, frame, where, confirmed=(1,) if frame == confirmed_at else ())
+    rows = table(recorder.take_rest(unconfirmed=False))
+    assert rows == [(0, 1, 10, True), (1, 1, 12, False), (2, 1, 14, True), (3, 1, 16, True)]
+
+
+def test_a_droplet_in_view_but_not_seen_has_rows_that_say_so() -> None:
+    """Boxes in frames 3 to 5; it was there in 1 and 2, and known in frame 7 to have been in 6."""
+    recorder = Recorder(hold=30)
+    for frame in range(8):
+        where = {1: 10.0 * frame} if 3 <= frame <= 5 else {}
+        before, after = Unseen(1, 2, -1, 2, (10.0, 10.0)), Unseen(1, 2, 1, 1, (10.0, 10.0))
+        unseen = {5: (before,), 7: (after,)}.get(frame, ())
+        add(recorder, frame, where, confirmed=(1,) if frame == 5 else (), unseen=unseen)
+    rows = recorder.take_rest(unconfirmed=False)
+    assert table(rows) == [(t, 1, 10.0 * t, 3 <= t <= 5) for t in range(1, 7)]
+    assert rows.rows.boxes[:, 0].tolist() == [10.0 * t for t in range(1, 7)]
+    assert rows.rows.scores.tolist() == [0, 0, 0.9, 0.9, 0.9, 0]
+    assert not rows.measured[[0, 1, -1]].any()
 
 
 def test_rows_are_final_once_no_gap_can_reach_back_and_given_once() -> None:

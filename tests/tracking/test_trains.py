@@ -34,10 +34,12 @@ def tracked(
     return track(DropletTracker(parameters or DropletParameters()), frames)
 
 
-def plug(first: int, step: float, last_x: float = 700.0) -> dict[int, tuple[float, float]]:
-    """The frames of a plug that enters at x = 100 in one frame and leaves beyond `last_x`."""
-    n = int((last_x - 100) / step) + 1
-    return {first + t: (100 + step * t, 50.0) for t in range(n)}
+def plug(
+    first: int, step: float, last_x: float = 700.0, first_x: float = 100.0
+) -> dict[int, tuple[float, float]]:
+    """The frames of a plug that enters at `first_x` in one frame and leaves beyond `last_x`."""
+    n = int((last_x - first_x) / step) + 1
+    return {first + t: (first_x + step * t, 50.0) for t in range(n)}
 
 
 def drawn(plugs: Sequence[dict[int, tuple[float, float]]], n: int) -> list[Detections]:
@@ -104,6 +106,57 @@ def test_a_box_that_is_there_once_and_does_not_leave_is_no_droplet(at: tuple[flo
     plugs = [plug(11 * i, 60.0) for i in range(5)]
     result = tracked(drawn([*plugs, {65: at}], 75))
     assert len(np.unique(result.track_id)) == 5
+
+
+def train_without(*missing: tuple[int, int]) -> list[Detections]:
+    """Twelve plugs, one every four frames, 60 px a frame; some boxes (plug, box) are missing.
+
+    They are first seen at 100 to 160 px, last seen at 640 to 700.
+    """
+    plugs = [plug(4 * i, 60.0, first_x=100.0 + 23 * i % 60) for i in range(12)]
+    for i, place in missing:
+        del plugs[i][4 * i + place]
+    return drawn(plugs, 4 * 11 + 30)
+
+
+GAPS = ((3, 5), (5, 4), (9, 6))  # boxes in the middle of the image, by which misses are known
+
+
+@pytest.mark.parametrize(("i", "place", "x"), [(10, 0, 150.0), (8, 9, 644.0)])
+def test_a_plug_whose_first_or_last_box_is_missed_has_a_row_that_says_so(
+    i: int, place: int, x: float
+) -> None:
+    """Others were seen further out than it would have been."""
+    result = tracked(train_without((i, place), *GAPS))
+    assert len(np.unique(result.track_id)) == 12
+    row = result[(result.frame == 4 * i + place) & ~result.observed]
+    assert row.x == pytest.approx([x], abs=3)
+    assert row.y == pytest.approx([50], abs=3)
+    assert (~result.observed).sum() == 1 + len(GAPS)
+
+
+def test_no_row_is_added_where_every_plug_is_seen() -> None:
+    frames = train_without()
+    result = tracked(frames)
+    assert result.observed.all()
+    assert len(result) == sum(len(found) for found in frames)
+
+
+def test_a_droplet_that_appears_inside_was_not_there_before() -> None:
+    """Its first four boxes are missing: more than a detector misses in a row."""
+    result = tracked(train_without(*((10, k) for k in range(4)), *GAPS))
+    (same,) = result.track_id[(result.frame == 44) & (np.abs(result.x - 390) < 1)]
+    assert result.x[result.track_id == same].min() == 390
+
+
+def test_a_plug_in_the_last_frame_is_found_by_one_box() -> None:
+    """No further one can come; it is where others enter, and as large."""
+    plugs = [plug(3 * i, 100.0) for i in range(20)]
+    result = tracked(drawn(plugs, 3 * 19 + 1))
+    assert len(np.unique(result.track_id)) == 20
+    assert result.x[result.frame == 57].min() == 100
+    result = tracked(drawn([*plugs[:19], {57: (400.0, 300.0)}], 3 * 19 + 1))
+    assert len(np.unique(result.track_id)) == 19
 
 
 def test_an_expected_velocity_tells_steps_longer_than_half_the_spacing() -> None:

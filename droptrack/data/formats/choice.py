@@ -9,7 +9,7 @@ import numpy as np
 
 from droptrack.data.files import reading
 from droptrack.data.formats import cvat, geff_files, labels, mot_tracks, tables, trackmate_xml
-from droptrack.data.formats.table import Table
+from droptrack.data.formats.table import Table, tracks
 from droptrack.errors import DroptrackError
 
 EVERYTHING = frozenset({"everything"})
@@ -58,7 +58,7 @@ FORMATS = {
     FormatName.trackmate_xml: Format(
         write=trackmate_xml.write_trackmate_model,
         read=trackmate_xml.read_trackmate_xml,
-        holds=frozenset({POSITIONS, SCORES, "diameter_px", "major_px"}) | SHAPES,
+        holds=frozenset({POSITIONS, SCORES, "diameter_px"}) | SHAPES,
     ),
     FormatName.trackmate_tracks: Format(
         write=trackmate_xml.write_trackmate_tracks,
@@ -81,7 +81,9 @@ FORMATS = {
         holds=frozenset({BOXES, "outline_seen"}),
     ),
     FormatName.cvat: Format(
-        write=cvat.write_cvat, read=_plain(cvat.read_cvat), holds=frozenset({BOXES, BRIDGED})
+        write=cvat.write_cvat,
+        read=_plain(cvat.read_cvat),
+        holds=frozenset({BOXES, BRIDGED}) | CLASSES,
     ),
     FormatName.coco: Format(
         write=labels.write_coco, holds=frozenset({BOXES, SCORES, "area_px2"}) | CLASSES
@@ -135,6 +137,8 @@ def lost_in(name: FormatName, table: Table) -> list[str]:
     lost = ["# lines"] if table.about and name not in WITH_ABOUT else []
     if name is FormatName.trackmate_xml and (np.unique_counts(rows.track_id).counts == 1).any():
         lost.append("identities of droplets seen once")
+    if name is FormatName.cvat and _classes_change(table):
+        lost.append("classes of single frames (a droplet has its most frequent one)")
     if holds == EVERYTHING:
         return lost
     centred = np.allclose(rows.boxes[:, :2], np.column_stack([rows.x, rows.y]), atol=1e-6)
@@ -147,3 +151,9 @@ def lost_in(name: FormatName, table: Table) -> list[str]:
     if BRIDGED not in holds and not rows.observed.all():
         lost.append(BRIDGED)
     return lost + [column for column in rows.columns if column not in holds]
+
+
+def _classes_change(table: Table) -> bool:
+    """Whether a droplet has another class in some frame than in others."""
+    classes, _ = table.classes()
+    return any(len(np.unique(classes[some])) > 1 for _, some in tracks(table.rows))

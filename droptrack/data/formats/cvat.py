@@ -2,15 +2,18 @@
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from numpy.typing import NDArray
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.formats.table import Table, table_of, tracks
 from droptrack.data.formats.xml_files import number, read_xml, write_xml
 from droptrack.errors import DroptrackError
 
+VERSION = "1.1"
 LABEL = "droplet"
 MAX_FRAMES = 10_000_000
 TOLERANCE_PX = 0.25  # by which a side may be off between key frames
@@ -18,24 +21,31 @@ SIDES = ("xtl", "ytl", "xbr", "ybr")
 
 
 def write_cvat(path: Path, table: Table) -> None:
-    """A track a droplet, ``outside`` after its last frame and in its gaps."""
+    """A track a droplet, ``outside`` after its last frame and in its gaps; its class is the label.
+
+    Of several classes, the one that it has most often.
+    """
     root = Element("annotations")
-    SubElement(root, "version").text = "1.1"
+    SubElement(root, "version").text = VERSION
     task = SubElement(SubElement(root, "meta"), "task")
     width, height = table.size
     for tag, text in (("size", table.n_frames), ("mode", "interpolation"), ("start_frame", 0)):
         SubElement(task, tag).text = str(text)
     SubElement(task, "stop_frame").text = str(max(table.n_frames - 1, 0))
-    label = SubElement(SubElement(task, "labels"), "label")
-    SubElement(label, "name").text = LABEL
-    SubElement(label, "attributes")
+    classes, names = table.classes()
+    labels = SubElement(task, "labels")
+    for _, name in sorted(names.items()):
+        one = SubElement(labels, "label")
+        SubElement(one, "name").text = name
+        SubElement(one, "attributes")
     size = SubElement(task, "original_size")
     SubElement(size, "width").text = str(width)
     SubElement(size, "height").text = str(height)
     half = table.rows.boxes[:, 2:] / 2
     sides = np.hstack([table.rows.boxes[:, :2] - half, table.rows.boxes[:, :2] + half])
     for track_id, some in tracks(table.rows):
-        track = SubElement(root, "track", id=str(track_id), label=LABEL, source="auto")
+        label = names[int(np.bincount(classes[some]).argmax())]
+        track = SubElement(root, "track", id=str(track_id), label=label, source="auto")
         _add_boxes(track, table, some, sides[some])
     write_xml(path, root)
 
@@ -82,10 +92,18 @@ def key_frames(frames: Rows, sides: Floats, bridged: Bools) -> Rows:
 
 
 def read_cvat(path: Path) -> Table:
-    """Tracks of boxes, with every frame between their key frames; ``occluded`` is not observed."""
+    """Tracks of boxes, with every frame between their key frames; ``occluded`` is not observed.
+
+    Labels are classes where there is another one than LABEL.
+    """
     root = read_xml(path)
     if root.tag != "annotations" or (root.find("track") is None and root.find("image") is not None):
         raise DroptrackError(f"{path}: should be CVAT for video, which has tracks")
+    version = root.findtext("version") or VERSION
+    if version.strip() not in {"1.0", VERSION}:
+        raise DroptrackError(
+            f"{path}: is CVAT for video {version.strip()}; up to {VERSION} is read"
+        )
     stop = root.findtext("meta/task/stop_frame") or root.findtext("meta/task/size") or ""
     last = int(stop) if stop.strip().isdigit() else -1
     if root.findtext("meta/task/stop_frame") is None:
@@ -94,22 +112,38 @@ def read_cvat(path: Path) -> Table:
         raise DroptrackError(f"{path}: frames should be {MAX_FRAMES} or less, not {last}")
     found: list[list[float]] = []
     other = 0
+    label_of: dict[int, str] = {}
     for k, track in enumerate(root.iter("track")):
         other += sum(one.tag not in {"box", "attribute"} for one in track)
         track_id = int(track.attrib["id"]) if track.attrib.get("id", "").isdigit() else k
+        label_of[track_id] = track.attrib.get("label", LABEL)
         found += _rows(path, track, track_id, last)
     table = np.array(found, float).reshape(-1, 7)
     shift = min(0.0, table[:, 1].min(initial=1) - 1)  # CVAT's identities begin at 0
     sides = table[:, 2:6]
     boxes = np.hstack([(sides[:, :2] + sides[:, 2:]) / 2, sides[:, 2:] - sides[:, :2]])
+    notes = [f"{other} shapes that are no boxes left out"] if other else []
+    if next(root.iter("attribute"), None) is not None:
+        notes.append("attributes left out")
     return table_of(
         path,
         frame=table[:, 0],
         track_id=table[:, 1] - shift,
         boxes=boxes,
         observed=table[:, 6] == 0,
-        notes=[f"{other} shapes that are no boxes left out"] if other else [],
+        columns=_classes(root, [label_of[one] for one in table[:, 1].astype(int).tolist()]),
+        notes=notes,
     )
+
+
+def _classes(root: Element, labels: list[str]) -> dict[str, NDArray[Any]]:
+    """The columns of classes of rows with these labels, in the order in which the task has them."""
+    if {*labels} <= {LABEL}:
+        return {}
+    named = [one.findtext("name") or "" for one in root.iterfind("meta/task/labels/label")]
+    order = {name: k for k, name in enumerate(dict.fromkeys([*named, *sorted({*labels})]))}
+    ids = np.array([order[name] for name in labels], np.int64)
+    return {"class_id": ids, "class_name": np.array(labels, np.str_)}
 
 
 def _rows(path: Path, track: Element, track_id: int, last: int) -> list[list[float]]:

@@ -56,7 +56,13 @@ def write_geff(path: Path, table: Table) -> None:
 
 def _edges(table: Table) -> Rows:
     """Rows (E, 2): each row and the next one of its droplet; and from parents to their child."""
-    pairs = [np.column_stack([some[:-1], some[1:]]) for _, some in tracks(table.rows)]
+    found = tracks(table.rows)
+    pairs = [np.column_stack([some[:-1], some[1:]]) for _, some in found]
+    last = {track_id: int(some[-1]) for track_id, some in found}
+    for name in ("parent_id", "parent_id_2"):
+        if (parent := table.column(name)) is not None:
+            born = [(last.get(int(parent[some[0]])), int(some[0])) for _, some in found]
+            pairs += [np.array([[one, child]]) for one, child in born if one is not None]
     return np.concatenate([np.zeros((0, 2), np.int64), *pairs])
 
 
@@ -71,6 +77,11 @@ def read_geff(path: Path) -> Table:
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise DroptrackError(f"{path}: cannot be read as GEFF: {first}") from None
     metadata = read["metadata"]
+    if _major(str(metadata.geff_version)) > _major(version("geff-spec")):
+        raise DroptrackError(
+            f"{path}: is GEFF {metadata.geff_version}; up to {version('geff-spec')} is read"
+        )
+    left = sorted(name for name, one in read["node_props"].items() if one["values"].ndim != 1)
     columns: dict[str, NDArray[Any]] = {
         name: one["values"] for name, one in read["node_props"].items() if one["values"].ndim == 1
     }
@@ -81,7 +92,14 @@ def read_geff(path: Path) -> Table:
             raise DroptrackError(f"{path}: nodes should have a property {theirs}")
         columns[ours] = columns.pop(theirs)
     about = (metadata.extra or {}).get(ABOUT, {})
-    return table_of_columns(path, columns, dict(about))
+    notes = [f"left out of nodes: {', '.join(left)}"] if left else []
+    return table_of_columns(path, columns, dict(about), notes)
+
+
+def _major(text: str) -> int:
+    """The first number of a version; 0 where there is none."""
+    first = text.partition(".")[0]
+    return int(first) if first.isdigit() else 0
 
 
 def _geff() -> tuple[Any, Any]:

@@ -42,8 +42,9 @@ def _write(path: Path, table: Table, ends: str | list[str], scores: list[float])
 def read_mot(path: Path) -> Table:
     """Either form; detections without an identity (-1) are refused."""
     lines = [line for line in read_text(path).splitlines() if line.strip()]
+    parts = [line.split(",") for line in lines]
     try:
-        table = np.array([[float(part) for part in line.split(",")[:7]] for line in lines], float)
+        table = np.array([[float(part) for part in line[:7]] for line in parts], float)
         table = table.reshape(-1, 7)
     except ValueError as error:
         raise DroptrackError(
@@ -61,4 +62,10 @@ def read_mot(path: Path) -> Table:
         track_id=table[:, 1] - shift,
         boxes=boxes,
         scores=table[:, 6],
+        notes=["left out: classes and what is visible"] if _says_more(parts) else [],
     )
+
+
+def _says_more(rows: list[list[str]]) -> bool:
+    """Whether the columns after the score say anything: -1 is nothing, and 1 the one class."""
+    return any(part.strip() not in {"", "-1", "1"} for row in rows for part in row[7:])

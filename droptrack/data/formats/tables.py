@@ -2,6 +2,7 @@
 
 import csv
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,8 @@ TRACKMATE = (
     ("VISIBILITY", "Visibility", "Visibility", ""),
 )
 
+READ = ("TRACK_ID", "QUALITY", "POSITION_X", "POSITION_Y", "FRAME", "RADIUS")  # columns of spots
+
 
 def write_csv(path: Path, table: Table) -> None:
     """Our own table."""
@@ -62,13 +65,18 @@ def columns_of(table: Table) -> dict[str, NDArray[Any]]:
     return {**fixed, **boxes, "score": rows.scores, "observed": rows.observed, **rows.columns}
 
 
-def table_of_columns(path: Path, found: dict[str, NDArray[Any]], about: dict[str, str]) -> Table:
-    """A table from columns by the names of ours; without boxes they are points."""
+def table_of_columns(
+    path: Path, found: dict[str, NDArray[Any]], about: dict[str, str], said: Sequence[str] = ()
+) -> Table:
+    """A table from columns by the names of ours; without boxes they are points.
+
+    `said`: notes so far.
+    """
     for name in ("frame", "track_id", "x", "y"):
         if name not in found:
             raise DroptrackError(f"{path}: has no column {name}")
     column: dict[str, NDArray[Any]] = {}
-    notes = []
+    notes = list(said)
     for name, values in found.items():
         if name in TEXT:
             column[name] = found[name] = np.asarray(values, np.str_)
@@ -217,11 +225,13 @@ def read_trackmate_csv(path: Path, um_per_px: float | None) -> Table:
         found = {
             name: np.array([float(line[k]) if line[k] else np.nan for line in linked])
             for name, k in column.items()
-            if name not in {"LABEL", "MANUAL_SPOT_COLOR", "NAME"}
+            if name in READ
         }
     except (ValueError, IndexError) as error:
         raise DroptrackError(f"{path}: {error}") from None
     notes = [f"{len(spots) - len(linked)} spots in no track left out"] if spots != linked else []
+    if others := [name for name in column if name not in {one[0] for one in TRACKMATE}]:
+        notes.append(f"columns left out: {', '.join(others)}")
     return spots_table(path, found, um, notes)
 
 

@@ -3,18 +3,25 @@
 TrackMate's identities begin at 0, and whole numbers are the centres of its pixels.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from numpy.typing import NDArray
 
-from droptrack.data.arrays import Floats
+from droptrack.data.arrays import Floats, Rows
 from droptrack.data.formats.table import PIXEL_CENTRE, Table, table_of, tracks
 from droptrack.data.formats.tables import px_of_unit, spots_table
 from droptrack.data.formats.xml_files import number, read_xml, write_xml
 from droptrack.errors import DroptrackError
 
 VERSION = "7.12.1"  # of TrackMate, whose files these are like
+NEWEST = 8  # whose files are read
+READ = ("POSITION_X", "POSITION_Y", "FRAME", "RADIUS", "QUALITY")  # features of spots
+# that follow from others, or say how to show a spot
+NEEDLESS = {"ID", "name", "POSITION_Z", "POSITION_T", "VISIBILITY"}
 # feature, name, short name, dimension, whether a whole number
 SPOT_FEATURES = (
     ("QUALITY", "Quality", "Quality", "QUALITY", False),
@@ -28,7 +35,7 @@ SPOT_FEATURES = (
 )
 SHAPES = (  # of Spot2DMorphologyAnalyzer, and the column of ours
     ("AREA", "Area", "Area", "AREA", "area_px2", 2),
-    ("PERIMETER", "Perimeter", "Perimeter", "LENGTH", "perimeter_px", 1),
+    ("PERIMETER", "Perimeter", "Perim.", "LENGTH", "perimeter_px", 1),
     ("CIRCULARITY", "Circularity", "Circ.", "NONE", "circularity", 0),
 )
 EDGE_FEATURES = (
@@ -80,9 +87,28 @@ def write_trackmate_model(path: Path, table: Table) -> None:
         **dict.fromkeys(("pixelwidth", "pixelheight"), repr(units.um_per_px or 1.0)),
         "timeinterval": repr(1 / (units.fps or 1.0)),
     }
-    SubElement(SubElement(root, "Settings"), "ImageData", image)
+    _add_settings(SubElement(root, "Settings"), image, table)
     SubElement(root, "GUIState", state="ConfigureViews")
     write_xml(path, root)
+
+
+def _add_settings(settings: Element, image: dict[str, str], table: Table) -> None:
+    """As of tracks that were drawn by hand: TrackMate looks for all of these."""
+    SubElement(settings, "ImageData", image)
+    width, height = table.size
+    ends = {"x": width - 1, "y": height - 1, "z": 0, "t": max(table.n_frames - 1, 0)}
+    whole = {f"{axis}start": "0" for axis in ends}
+    SubElement(
+        settings, "BasicSettings", whole | {f"{axis}end": str(end) for axis, end in ends.items()}
+    )
+    SubElement(settings, "DetectorSettings", DETECTOR_NAME="MANUAL_DETECTOR", RADIUS="5.0")
+    SubElement(settings, "InitialSpotFilter", feature="QUALITY", value="0.0", isabove="true")
+    SubElement(settings, "SpotFilterCollection")
+    SubElement(settings, "TrackerSettings", TRACKER_NAME="MANUAL_TRACKER")
+    SubElement(settings, "TrackFilterCollection")
+    analyzers = SubElement(settings, "AnalyzerCollection")
+    for kind in ("Spot", "Edge", "Track"):
+        SubElement(analyzers, f"{kind}Analyzers")
 
 
 def _add_spots(model: Element, table: Table) -> None:
@@ -163,6 +189,11 @@ def read_trackmate_xml(path: Path, um_per_px: float | None) -> Table:
     model = root.find("Model")
     if root.tag != "TrackMate" or model is None:
         raise DroptrackError(f"{path}: is no file of TrackMate's")
+    version = root.attrib.get("version", "")
+    if (first := version.partition(".")[0]).isdigit() and int(first) > NEWEST:
+        raise DroptrackError(
+            f"{path}: is of TrackMate {version}; files up to those of TrackMate {NEWEST} are read"
+        )
     um = _px_of_model(path, root, model, um_per_px)
     spots = {int(number(path, one, "ID")): one for one in model.iter("Spot")}
     piece_of, parents = _pieces(path, model)
@@ -170,17 +201,27 @@ def read_trackmate_xml(path: Path, um_per_px: float | None) -> Table:
     if unknown:
         raise DroptrackError(f"{path}: an edge leads to spot {min(unknown)}, which there is not")
     ids = sorted(piece_of)
-    optional = [name for name in ("RADIUS", "QUALITY") if all(name in spots[i].attrib for i in ids)]
-    features = ["POSITION_X", "POSITION_Y", "FRAME", *optional]
+    optional = [name for name in READ[3:] if all(name in spots[i].attrib for i in ids)]
     found = {
-        name: np.array([number(path, spots[i], name) for i in ids], float) for name in features
+        name: np.array([number(path, spots[i], name) for i in ids], float)
+        for name in (*READ[:3], *optional)
     }
     found["TRACK_ID"] = np.array([piece_of[i] for i in ids], float)
     left = len(spots) - len(ids)
-    read = spots_table(path, found, um, [f"{left} spots in no track left out"] if left else [])
-    if not parents:
-        return read
-    parent = np.array([parents.get(i - 1, -1) + 1 for i in read.rows.track_id.tolist()], np.int64)
+    notes = [f"{left} spots in no track left out"] if left else []
+    shapes = {one[0]: one[4:] for one in SHAPES}
+    known = {*READ, *NEEDLESS, *shapes}
+    if others := sorted({name for i in ids for name in spots[i].attrib} - known):
+        notes.append(f"left out of spots: {', '.join(others)}")
+    read = spots_table(path, found, um, notes)
+    columns: dict[str, NDArray[Any]] = {}
+    for name, (ours, power) in shapes.items():
+        if any(name in spots[i].attrib for i in ids):
+            values = [_number_or_nan(path, spots[i], name) for i in ids]
+            columns[ours] = np.array(values)[_order(found)] / um**power
+    if parents:
+        of = [parents.get(i - 1, -1) + 1 for i in read.rows.track_id.tolist()]
+        columns["parent_id"] = np.array(of, np.int64)
     rows = read.rows
     return table_of(
         path,
@@ -188,10 +229,19 @@ def read_trackmate_xml(path: Path, um_per_px: float | None) -> Table:
         track_id=rows.track_id,
         boxes=rows.boxes,
         scores=rows.scores,
-        columns={"parent_id": parent},
+        columns=columns,
         about=read.about,
         notes=read.notes,
     )
+
+
+def _order(found: Mapping[str, Floats]) -> Rows:
+    """The order in which a table has rows with these features."""
+    return np.lexsort((found["TRACK_ID"], found["FRAME"]))
+
+
+def _number_or_nan(path: Path, spot: Element, name: str) -> float:
+    return number(path, spot, name) if name in spot.attrib else float("nan")
 
 
 def _px_of_model(path: Path, root: Element, model: Element, um_per_px: float | None) -> float:

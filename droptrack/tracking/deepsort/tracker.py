@@ -88,6 +88,10 @@ class DeepSortTracker:
             del track.gallery[: -self.parameters.nn_budget if track.confirmed else 0]
         return Update(track_ids=track_ids, confirmed=tuple(confirmed), terminated=terminated)
 
+    def finish(self) -> Update:
+        """Nothing: what is not confirmed by the last frame never was in the original."""
+        return Update(track_ids=np.zeros(0, np.int64))
+
     def _match(self, boxes: Floats, measurements: Floats, descriptors: Floats) -> tuple[Rows, Rows]:
         """The cascade for confirmed tracks, then IoU for new ones and those just missed."""
         ages = np.array([track.age for track in self.tracks], np.int64)

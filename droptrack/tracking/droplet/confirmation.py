@@ -16,7 +16,7 @@ MAX_MISSES_OF_NEW = 1  # in a row
 MAX_FRAMES_OF_NEW = MAX_DUPLICATE_FRAMES + 1
 MIN_SUPPORTED_HITS = 2  # detections of a track that is confirmed by what is remembered, too
 MIN_EVIDENCE_OF_LEAVING = 14.0  # of a droplet that leaves too early for more: odds of 1,000 to 1
-MIN_AREA = 1.0  # squared diameters over which false boxes are counted
+MIN_AREA = 1.0  # squared diameters over which false boxes are counted, where droplets are many
 
 
 def confirmable(tracks: Tracks, support: Floats, p: DropletParameters) -> Bools:
@@ -96,9 +96,19 @@ def leaving(tracks: Tracks, support: Floats, flow: Flow) -> Bools:
     return np.asarray(over & sure & (tracks.duplicate_of == 0) & flow.left_by(tracks))
 
 
-def confirm_leaving(tracks: Tracks, support: Floats, flow: Flow) -> tuple[Tracks, tuple[int, ...]]:
-    """Confirm tracks that have left. Also gives their identities."""
-    rows = np.flatnonzero(leaving(tracks, support, flow))
+def confirm_leaving(
+    tracks: Tracks, support: Floats, flow: Flow, *, ended: bool = False
+) -> tuple[Tracks, tuple[int, ...]]:
+    """Confirm tracks that have left, or if the video has `ended`, those that may be in view still.
+
+    Also gives their identities.
+    """
+    left = leaving(tracks, support, flow)
+    if ended:
+        sure = tracks.evidence + support >= MIN_EVIDENCE_OF_LEAVING
+        here = (tracks.unseen == 0) | flow.left_by(tracks)
+        left |= ~tracks.confirmed & sure & here & (tracks.duplicate_of == 0)
+    rows = np.flatnonzero(left)
     if not len(rows):
         return tracks, ()
     confirmed = tracks.confirmed.copy()
@@ -129,15 +139,19 @@ def terminate(
         if over.any() and flow.images:  # what has left, and what is like droplets, may be one
             gone = over & ~flow.left_by(tracks)
             n_false = float((1 / (1 + np.exp(support[gone] / 2))).sum())
-        false = false.learned(_false_density(tracks, n_false))
+        false = false.learned(n_false / _area(tracks, flow) if n_false else 0.0)
     if not lost.any():
         return tracks, false, ()
     return tracks[np.flatnonzero(~lost)], false, tuple(tracks.ids[lost].tolist())
 
 
-def _false_density(tracks: Tracks, n_false: float) -> float:
-    """Of `n_false` boxes, a squared diameter of the area where there are droplets."""
-    if not n_false:
-        return 0.0
+def _area(tracks: Tracks, flow: Flow) -> float:
+    """Squared diameters over which false boxes are counted.
+
+    Those of few droplets in a channel may be anywhere in the image; others are among the droplets.
+    """
+    diameter = median(tracks.diameters)
+    if flow.images:
+        return flow.area(diameter)
     span = np.ptp(tracks.last_position[tracks.confirmed], axis=0)
-    return n_false / max(MIN_AREA, float(span.prod()) / median(tracks.diameters) ** 2)
+    return max(MIN_AREA, float(span.prod()) / diameter**2)

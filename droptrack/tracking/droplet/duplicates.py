@@ -1,14 +1,13 @@
 """Boxes that no track takes on droplets that have one: networks give two to a bent droplet."""
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import intersections
 from droptrack.tracking.droplet.matching import Matches
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.tracks import Tracks
-from droptrack.tracking.nearest import nearest
+from droptrack.tracking.nearest import nearest, tree_of
 
 NEAREST = 4  # droplets on which a box may lie
 MIN_COVERED = 0.4  # share of the smaller of a box and a droplet, for the one to lie on the other
@@ -30,7 +29,7 @@ def find_duplicates(tracks: Tracks, boxes: Floats, matches: Matches, p: DropletP
         return none
     free = boxes[matches.free]
     k = min(NEAREST, len(droplets))
-    _, near = nearest(cKDTree(tracks.state.position[droplets]), free[:, :2], k)
+    _, near = nearest(tree_of(tracks.state.position[droplets]), free[:, :2], k)
     near = droplets[near]  # (F, k)
     area = _area_with_other_half(free, boxes, matches, tracks, near)
     half = area < MAX_HALVES_AREA

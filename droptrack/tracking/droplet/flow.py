@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from droptrack.data.arrays import Bools, Floats
+from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.tracking.droplet.tracks import Tracks
+from droptrack.tracking.neighbour_velocity import velocity_of_neighbours
 from droptrack.tracking.tracker import Velocity
 
 MAX_SAMPLES = 96  # droplets of the last frames that are remembered
@@ -19,8 +20,12 @@ MAX_IMAGES = 12  # the last ones whose boxes vote
 MIN_HITS = 2  # of a track whose velocity is remembered
 MAX_COMMON_STEP = 3.0  # diameters
 VOTE_DEVIATION = 0.15  # diameters, of a droplet from where the common step takes it
+STEP_CELL = 0.05  # diameters, within which steps are one
 MIN_SHARE = 0.6  # of the boxes that must agree with the common step
 UNSURE = 2.0  # boxes that disagree, before any is counted
+PLACE_WIDTH = 0.5  # diameters, standard deviation of the weight of a velocity remembered,
+MIN_PASSED = 2.0  # and the sum of weights that make a flow at a place
+MIN_STEP = 1e-9  # px, so that there is a direction
 KERNEL_WIDTH = 0.3  # diameters, standard deviation of the kernel around a place
 FIRST_STEP_DEVIATION = 0.15  # of a new droplet's velocity, diameters a frame, before any is seen:
 FIRST_STEPS = 3.0  # it counts as so many droplets'
@@ -129,20 +134,25 @@ class Flow:
             first_squares=self.first_squares,
         )
 
-    def learned(self, tracks: Tracks) -> "Flow":
-        """With the tracks' droplets of this frame."""
+    def learned(self, tracks: Tracks, confirmed: tuple[int, ...] = ()) -> "Flow":
+        """With the tracks' droplets of this frame, and where those `confirmed` now were first."""
         if not self.images:
             return self
         known = (tracks.hits >= MIN_HITS) & (tracks.missed == 0)
         if not known.any():
             return self
-        position, velocity = tracks.state.position[known], tracks.state.velocity[known]
-        positions = np.concatenate([self.positions, position])
-        places = np.concatenate([position, tracks.first_position[known]])
+        sure = known & tracks.confirmed
+        new = sure & np.isin(tracks.ids, confirmed)
+        velocity = tracks.state.velocity
+        positions = np.concatenate(
+            [self.positions, tracks.first_position[new], tracks.state.position[sure]]
+        )
+        velocities = np.concatenate([self.velocities, velocity[new], velocity[sure]])
+        places = np.concatenate([tracks.state.position[known], tracks.first_position[known]])
         full = len(positions) > MAX_SAMPLES
         return Flow(
             positions=positions[-MAX_SAMPLES:],
-            velocities=np.concatenate([self.velocities, velocity])[-MAX_SAMPLES:],
+            velocities=velocities[-MAX_SAMPLES:],
             images=self.images,
             n_images=self.n_images if full else self.n_images + 1,
             low=np.minimum(self.low, places.min(axis=0)),
@@ -151,13 +161,39 @@ class Flow:
             first_squares=self.first_squares,
         )
 
+    def without_images(self) -> "Flow":
+        """What is remembered of droplets, before the images are seen once more."""
+        return replace(self, images=())
+
+    def velocity_at(self, places: Floats, diameters: Floats) -> tuple[Floats, Floats]:
+        """Mean velocity (N, 2) of droplets that passed at places (N, 2), and its variance (N,).
+
+        Where too few passed just there, of those further around: see `velocity_of_neighbours`.
+        """
+        mean, variance = velocity_of_neighbours(places, diameters, self.positions, self.velocities)
+        if not len(self.positions):
+            return mean, variance
+        square = ((places[:, None] - self.positions) ** 2).sum(axis=2) / diameters[:, None] ** 2
+        weight = np.exp(-square / (2 * PLACE_WIDTH**2))
+        total = weight.sum(axis=1)
+        there = total >= MIN_PASSED
+        weight = weight[there] / total[there, None]
+        mean[there] = weight @ self.velocities
+        off = ((self.velocities - mean[there][:, None]) ** 2).sum(axis=2)
+        variance[there] = (weight * off).sum(axis=1) / 2
+        return mean, variance
+
     def density(self, diameter: float) -> float:
         """Droplets a squared diameter of the region, or 0 where they are too many to be counted."""
         if not self.images:
             return 0.0
+        n_boxes = sum(len(points) for _, points in self.images)
+        return n_boxes / len(self.images) / self.area(diameter)
+
+    def area(self, diameter: float) -> float:
+        """Squared diameters of the region of all boxes of the last images."""
         everything = np.concatenate([points for _, points in self.images])
-        area = float((np.ptp(everything, axis=0) / diameter + 1).prod())
-        return len(everything) / len(self.images) / area
+        return float((np.ptp(everything, axis=0) / diameter + 1).prod())
 
     def left_by(self, tracks: Tracks) -> Bools:
         """Tracks (N,) that began in the region and are expected out of it by now.
@@ -179,10 +215,17 @@ class Flow:
         return np.asarray(((now < self.low) | (now > self.high)).any(axis=1))
 
     def density_at(self, places: Floats, diameters: Floats) -> Floats:
-        """Droplets a squared diameter (N,) that were around places (N, 2) in the last images."""
-        width = KERNEL_WIDTH * diameters[:, None]
-        square = ((places[:, None] - self.positions) ** 2).sum(axis=2) / width**2
-        total = np.exp(-square / 2).sum(axis=1) / (2 * np.pi * KERNEL_WIDTH**2)
+        """Droplets a squared diameter (N,) that were around places (N, 2) in the last images.
+
+        Each might as well have been seen half a step earlier or later.
+        """
+        d = diameters[:, None]
+        step = np.hypot(*self.velocities.T)
+        x, y = self.velocities.T / np.maximum(step, MIN_STEP)
+        dx, dy = ((places[:, None] - self.positions) / d[..., None]).transpose(2, 0, 1)
+        along = np.sqrt(KERNEL_WIDTH**2 + (step / d) ** 2 / 12)
+        square = ((x * dx + y * dy) / along) ** 2 + ((x * dy - y * dx) / KERNEL_WIDTH) ** 2
+        total = (np.exp(-square / 2) / along).sum(axis=1) / (2 * np.pi * KERNEL_WIDTH)
         anywhere = self.density(float(np.median(diameters)))  # counts as one more image
         return np.asarray((total + anywhere) / (self.n_images + 1))
 
@@ -198,10 +241,11 @@ class Flow:
         steps = np.concatenate(
             [((b[None] - a[:, None]) / gap).reshape(-1, 2) for gap, a, b in pairs]
         )
-        length = np.hypot(*steps.T) / diameter
-        steps, length = steps[length < MAX_COMMON_STEP], length[length < MAX_COMMON_STEP]
+        steps = steps[np.hypot(*steps.T) < MAX_COMMON_STEP * diameter]
         if not len(steps):
             return None
+        steps, votes = _means_of_cells(steps, STEP_CELL * diameter)
+        length = np.hypot(*steps.T)
         share, count = _shares(steps, pairs, VOTE_DEVIATION * diameter)
         best = int(share.argmax())
         alike = share > share[best] - 1 / np.sqrt(count[best])  # as sure as a count is
@@ -210,11 +254,22 @@ class Flow:
         if share.max() < MIN_SHARE:
             return None
         near = np.hypot(*(steps - steps[best]).T) < 3 * VOTE_DEVIATION * diameter
-        mean = np.asarray(steps[near & alike].mean(axis=0))
+        mean = np.average(steps[near & alike], axis=0, weights=votes[near & alike])
         others = np.flatnonzero(~near & alike & (length < ALIAS_LENGTH * length[best]))
         if not len(others):
             return CommonStep(mean, float(share[best]), None)
         return CommonStep(mean, float(share[best]), steps[others[share[others].argmax()]])
+
+
+def _means_of_cells(steps: Floats, width: float) -> tuple[Floats, Rows]:
+    """Steps (S, 2) that are alike as one, their mean (C, 2), and how many they are (C,)."""
+    cells = np.round(steps / width).astype(np.int64)
+    cells -= cells.min(axis=0)
+    _, place, votes = np.unique(
+        cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1], return_inverse=True, return_counts=True
+    )
+    sums = np.column_stack([np.bincount(place, weights=part) for part in steps.T])
+    return sums / votes[:, None], votes
 
 
 def _shares(

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.tracking.association import assign_in_order
@@ -15,7 +14,7 @@ from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import MIN_DEVIATION
 from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracks import Tracks
-from droptrack.tracking.nearest import nearest
+from droptrack.tracking.nearest import nearest, tree_of
 from droptrack.tracking.tracker import Resumption
 
 GATE = 11.8  # chi-square of two degrees of freedom, 99.7 %
@@ -58,18 +57,26 @@ def merge(
     new, old = np.array(pairs).T
     gaps = tracks.unseen[old] - tracks.images[new] + 1
     passages = passages.resuming(tracks.last_position[old], np.maximum(gaps, 1))
-    frames = tracks.missed[old] - tracks.frames[new]
+    n_frames = tracks.missed[old] - tracks.frames[new]
     merged = Merged(
         pairs=tuple(zip(tracks.ids[new].tolist(), tracks.ids[old].tolist(), strict=True)),
-        resumed=resumptions(tracks, old, tracks.first_position[new], frames, log_odds, flow),
+        resumed=resumptions(tracks, old, tracks.first_position[new], n_frames, log_odds, flow),
     )
     ids, confirmed = tracks.ids.copy(), tracks.confirmed.copy()
     hits, duplicate_of = tracks.hits.copy(), tracks.duplicate_of.copy()
-    ids[new] = ids[old]
+    frames, first = tracks.frames.copy(), tracks.first_position.copy()
+    ids[new], frames[new], first[new] = ids[old], frames[old], first[old]
     confirmed[new] = True
     hits[new] += hits[old]
     duplicate_of[new] = 0
-    tracks = tracks.replaced(ids=ids, confirmed=confirmed, hits=hits, duplicate_of=duplicate_of)
+    tracks = tracks.replaced(
+        ids=ids,
+        confirmed=confirmed,
+        hits=hits,
+        duplicate_of=duplicate_of,
+        frames=frames,
+        first_position=first,
+    )
     return tracks[np.delete(np.arange(len(tracks)), old)], passages, merged
 
 
@@ -97,7 +104,7 @@ def _meeting(
         return [], np.zeros(0)
     k = min(CANDIDATES, len(lost))
     state = tracks.state
-    _, near = nearest(cKDTree(state.position[lost]), state.position[ready], k)
+    _, near = nearest(tree_of(state.position[lost]), state.position[ready], k)
     new, old = np.repeat(ready, k), lost[near.ravel()]
     gap = tracks.missed[old] - tracks.frames[new] + 1
     new, old, gap = new[gap > 0], old[gap > 0], gap[gap > 0]

@@ -5,6 +5,7 @@ another has entered. Both have probabilities, which depend on the place and on t
 """
 
 from dataclasses import dataclass, field, replace
+from math import lgamma, log
 
 import numpy as np
 
@@ -16,6 +17,8 @@ MAX_KEPT = 256  # of the last places of each kind
 WIDTH = 0.5  # diameters, standard deviation of the kernel around a place
 LEFT_INSIDE = 0.05  # probability that a lost droplet has left, before any was lost
 LEFT_OUTSIDE = 0.5  # the same, if it goes out of the region where droplets are seen
+FIRST_MISSED = 0.5  # boxes missed, of so many droplets in view, before any is counted
+FIRST_IN_VIEW = 50.0
 FIRST_GAPS = (1, 2)  # gaps and their length in images, before any is seen
 ANY_SIZE = 0.4  # standard deviation of the logarithm of width and height, before any is known
 MIN_SIZES = 2  # droplets that make a spread
@@ -37,16 +40,24 @@ class Passages:
     n_entered: int = 0
     n_left_inside: int = 0  # of those that left, such as were in the middle of the region
     n_images: int = 0
+    n_seen: int = 0  # boxes of droplets
     n_gaps: int = FIRST_GAPS[0]
     gap_images: int = FIRST_GAPS[1]
     low: Floats = field(default_factory=lambda: np.full(2, np.inf))  # corner of the region
     high: Floats = field(default_factory=lambda: np.full(2, -np.inf))  # where droplets are seen
 
-    def with_image(self) -> "Passages":
-        """One image on."""
+    def with_image(self, n_seen: int) -> "Passages":
+        """One image on, with so many droplets."""
         passages = object.__new__(Passages)  # `replace` takes ten times as long
-        vars(passages).update(vars(self), n_images=self.n_images + 1)
+        n_images, n_seen = self.n_images + 1, self.n_seen + n_seen
+        vars(passages).update(vars(self), n_images=n_images, n_seen=n_seen)
         return passages
+
+    @property
+    def miss_rate(self) -> float:
+        """The share of droplets in view that are not seen."""
+        missed = self.gap_images - FIRST_GAPS[1]
+        return (missed + FIRST_MISSED) / (missed + self.n_seen + FIRST_IN_VIEW)
 
     def entering(self, tracks: Tracks, entered: Bools) -> "Passages":
         """With new droplets, some of which (N,) entered after the first frame."""
@@ -83,6 +94,12 @@ class Passages:
             low=np.minimum(self.low, places.min(axis=0, initial=np.inf)),
             high=np.maximum(self.high, places.max(axis=0, initial=-np.inf)),
         )
+
+    def probability_inside(self, distance: float) -> float:
+        """That a droplet is seen last, or first, within a distance (px) of somewhere inside."""
+        share = (self.n_left_inside + LEFT_INSIDE) / (len(self.left) + 1)
+        length = float(np.hypot(*(self.high - self.low)))
+        return share * min(1.0, distance / length) if 0 < length < np.inf else 1.0
 
     def log_odds_of_leaving(self, places: Floats, ahead: Floats, diameters: Floats) -> Floats:
         """Logarithm of the odds (N,) that droplets lost at places (N, 2) have left.
@@ -125,21 +142,24 @@ class Passages:
     def evidence_of_size(self, log_sizes: Floats, deviation: float) -> Floats:
         """2 log likelihood ratio (N,) of sizes (N, 2): of a droplet, to any box.
 
+        Of n droplets, the next one's size has Student's distribution with n - 1 degrees of freedom.
         `deviation`: of a box's size from its droplet's.
         """
-        if not len(self.sizes):
+        n = len(self.sizes)
+        if n < MIN_SIZES:
             return np.zeros(len(log_sizes))
-        variance = self._variance_of_boxes(deviation)
-        square = (log_sizes - self.sizes.mean(axis=0)) ** 2
-        ratio = np.log(ANY_SIZE**2 / variance) + square * (1 / ANY_SIZE**2 - 1 / variance)
+        variance = np.minimum(self.sizes.var(axis=0, ddof=1) + deviation**2, ANY_SIZE**2)
+        variance *= 1 + 1 / n
+        square, free = (log_sizes - self.sizes.mean(axis=0)) ** 2, n - 1
+        peak = lgamma(n / 2) - lgamma(free / 2) - log(free / 2) / 2
+        ratio = np.log(ANY_SIZE**2 / variance) + 2 * peak + square / ANY_SIZE**2
+        ratio -= n * np.log1p(square / variance / free)
         return np.asarray(ratio.sum(axis=1))
 
     def evidence_of_mean_size(self, deviation: float) -> float:
-        """The same of a box as large as droplets are."""
-        return float(np.log(ANY_SIZE**2 / self._variance_of_boxes(deviation)).sum())
-
-    def _variance_of_boxes(self, deviation: float) -> Floats:
-        return np.minimum(self.size_variance + deviation**2, ANY_SIZE**2)
+        """About the same of a box as large as droplets are; little while few are known."""
+        variance = np.minimum(self.size_variance + deviation**2, ANY_SIZE**2)
+        return float(np.log(ANY_SIZE**2 / variance).sum())
 
 
 def _with(places: Floats, more: Floats) -> Floats:

@@ -30,13 +30,15 @@ def predict(
     p: DropletParameters,
     *,
     image: bool = True,
+    flow_known: bool = False,
 ) -> Tracks:
     """All tracks one frame on; they count as missed until they are corrected.
 
     New and lost tracks go with the flow, of which the frame's boxes (M, 4) may tell. In a frame
-    without an image, time passes, but nothing is unseen.
+    without an image, time passes, but nothing is unseen. `flow_known`: what is remembered of the
+    flow counts more than what the last images have in common.
     """
-    state = _with_flow(tracks, boxes, flow, p) if p.flow else tracks.state
+    state = _with_flow(tracks, boxes, flow, p, flow_known) if p.flow else tracks.state
     return tracks.replaced(
         state=motion_filter.predict(state, noise.acceleration * tracks.diameters),
         missed=tracks.missed + 1,
@@ -52,7 +54,9 @@ def detection_variance(state: KinematicState, diameters: Floats, noise: Noise) -
     return np.asarray(np.maximum(variance, (MIN_DEVIATION * diameters) ** 2) / diameters**2)
 
 
-def _with_flow(tracks: Tracks, boxes: Floats, flow: Flow, p: DropletParameters) -> KinematicState:
+def _with_flow(
+    tracks: Tracks, boxes: Floats, flow: Flow, p: DropletParameters, flow_known: bool
+) -> KinematicState:
     """States with what the flow tells of the velocities of new tracks and of lost ones."""
     new, seen = tracks.hits == 1, tracks.missed == 0
     if seen.all() and not new.any():
@@ -60,7 +64,7 @@ def _with_flow(tracks: Tracks, boxes: Floats, flow: Flow, p: DropletParameters) 
     diameters, state = tracks.diameters, tracks.state
     remembered = np.zeros(len(tracks), bool)
     if new.any() and (flow.images or p.expect_velocity is not None):
-        state, remembered = _with_remembered_flow(tracks, np.flatnonzero(new), flow, p)
+        state, remembered = _with_remembered_flow(tracks, np.flatnonzero(new), flow, p, flow_known)
         new = new & ~remembered
     rows = np.concatenate([np.flatnonzero(new), np.flatnonzero(~seen & ~new & ~remembered)])
     known = (tracks.hits >= MIN_HITS) & seen
@@ -92,14 +96,14 @@ def _with_flow(tracks: Tracks, boxes: Floats, flow: Flow, p: DropletParameters) 
 
 
 def _with_remembered_flow(
-    tracks: Tracks, new: Rows, flow: Flow, p: DropletParameters
+    tracks: Tracks, new: Rows, flow: Flow, p: DropletParameters, flow_known: bool
 ) -> tuple[KinematicState, Bools]:
     """States with velocities of new tracks as droplets had that passed there before, and of whom.
 
     Without such droplets, with the velocity that is expected, or that all boxes have in common.
     """
     position, diameters = tracks.last_position[new], tracks.diameters[new]
-    mean, variance = velocity_of_neighbours(position, diameters, flow.positions, flow.velocities)
+    mean, variance = flow.velocity_at(position, diameters)
     variance = variance + (flow.deviation * diameters) ** 2
     step = None if p.expect_velocity is None else np.array(p.expect_velocity, float)
     if step is None and (common := flow.common_step(float(np.median(diameters)))) is not None:
@@ -108,10 +112,10 @@ def _with_remembered_flow(
         unknown = variance > (p.unknown_step * diameters) ** 2
     else:
         deviation = PATTERN_DEVIATION * diameters
-        other = np.hypot(*(mean - step).T) > MAX_DEVIATIONS * np.maximum(
-            deviation, np.sqrt(variance)
-        )
-        other |= np.isinf(variance)
+        other = np.isinf(variance)
+        if not flow_known:
+            likely = MAX_DEVIATIONS * np.maximum(deviation, np.sqrt(variance))
+            other |= np.hypot(*(mean - step).T) > likely
         mean[other], variance[other] = step, deviation[other] ** 2
         unknown = np.zeros(len(new), bool)
     frames = tracks.missed[new]  # since it was seen

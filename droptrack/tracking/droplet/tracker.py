@@ -4,6 +4,7 @@ Each stage is a function in a module of its own. It takes what it needs, tracks 
 new tracks; it writes into nothing that it takes.
 """
 
+from collections import deque
 from dataclasses import replace
 from math import log
 
@@ -32,9 +33,18 @@ from droptrack.tracking.droplet.passages import Passages
 from droptrack.tracking.droplet.prediction import predict
 from droptrack.tracking.droplet.resumption import resumptions
 from droptrack.tracking.droplet.tracks import Observations, Tracks, observe, start_tracks
-from droptrack.tracking.tracker import LONG_GAP, Resumption, Update, Velocity, check_descriptors
+from droptrack.tracking.droplet.unseen import unseen_of
+from droptrack.tracking.tracker import (
+    LONG_GAP,
+    Resumption,
+    Unseen,
+    Update,
+    Velocity,
+    check_descriptors,
+)
 
 FRAMES_TO_WEIGH = 60  # after which is asked again whether another velocity explains the images
+FRAMES_TO_ENTER = 20  # since birth, after which is told whether a droplet was in view before
 
 
 class DropletTracker:
@@ -66,6 +76,7 @@ class DropletTracker:
         self._n_frames = n_frames
         self.flow = Flow()
         self.passages = Passages()
+        self._images: deque[bool] = deque(maxlen=self.delay + p.max_age + 1)
         self._weighed = WeighedVelocities()
 
     @property
@@ -108,11 +119,52 @@ class DropletTracker:
         check_descriptors(boxes, descriptors)
         frame = FrameInput(boxes, descriptors, len(boxes) > 0 if image is None else image)
         again = self._again(boxes)
+        if not again and self._beginning and len(self._beginning) == MAX_BEGINNING:
+            again = self._again_with_flow()
         update = self._update(frame, self.parameters)
         if self._beginning is not None and (len(boxes) or self._beginning):
             over = not self.flow.images or len(self._beginning) == MAX_BEGINNING
             self._beginning = None if over else [*self._beginning, frame]
         return replace(update, again=again) if again else update
+
+    def finish(self) -> Update:
+        """What is known once the last frame has been seen; it has no detections.
+
+        Where droplets are few, no further box can come of those that are new, as of those that
+        leave.
+        """
+        again = self._again_with_flow() if self._beginning else ()
+        tracks, flow = self.tracks, self.flow
+        if not flow.images or not len(tracks):
+            return Update(track_ids=np.zeros(0, np.int64), again=again)
+        support = support_of(tracks, flow, self.passages, self.noise, self.false_boxes)
+        tracks, confirmed = confirm_leaving(tracks, support, flow, ended=True)
+        ends = np.flatnonzero(tracks.confirmed & (tracks.unseen > 0))
+        young = np.flatnonzero(tracks.confirmed & (tracks.frames < FRAMES_TO_ENTER))
+        unseen = self._unseen(tracks, ends, young, flow)
+        none = np.zeros(0, np.int64)
+        return Update(track_ids=none, confirmed=confirmed, unseen=unseen, again=again)
+
+    def _unseen(self, tracks: Tracks, ended: Rows, young: Rows, flow: Flow) -> tuple[Unseen, ...]:
+        """In which frames droplets were in view unseen: after they ended, and before they began."""
+        ends = [(row, int(tracks.missed[row]), 1) for row in ended.tolist()]
+        ends += [(row, int(tracks.frames[row]) - 1, -1) for row in young.tolist()]
+        if not ends:
+            return ()
+        images = list(self._images)
+        return tuple(unseen_of(tracks, ends, images, flow, self.passages, self.noise))
+
+    def _again_with_flow(self) -> tuple[Update, ...]:
+        """Track the first frames again with what they told of the flow, if droplets are few."""
+        p, frames = self.parameters, self._beginning
+        if not frames or not p.flow or not self.flow.images or not len(self.flow.positions):
+            return ()
+        flow, sizes = self.flow.without_images(), self.passages.sizes
+        noise, false_boxes = self.noise, self.false_boxes
+        self._begin(self._n_frames - len(frames))
+        self.flow, self.passages = flow, replace(self.passages, sizes=sizes)
+        self.noise, self.false_boxes = noise, false_boxes
+        return tuple(self._update(frame, p, flow_known=True) for frame in frames)
 
     def _again(self, boxes: Floats) -> tuple[Update, ...]:
         """Track the first frames again if with this one they tell another velocity."""
@@ -125,13 +177,16 @@ class DropletTracker:
         self._begin(self._n_frames - len(frames))
         return tuple(self._update(frame, replace(p, expect_velocity=velocity)) for frame in frames)
 
-    def _update(self, frame: FrameInput, p: DropletParameters) -> Update:
+    def _update(
+        self, frame: FrameInput, p: DropletParameters, *, flow_known: bool = False
+    ) -> Update:
         boxes, descriptors, image = frame
         noise = self.noise
         found = observe(boxes, descriptors if p.appearance else np.zeros((len(boxes), 0)))
         flow = self.flow.seeing(self._n_frames, boxes[:, :2])
         self._n_frames += 1
-        tracks = predict(self.tracks, boxes, noise, flow, p, image=image)
+        self._images.append(image)
+        tracks = predict(self.tracks, boxes, noise, flow, p, image=image, flow_known=flow_known)
         others = self._evidence_of_others(tracks, flow)
         matches = match(tracks, found, noise, self.false_boxes, others, p)
         duplicate_of = find_duplicates(tracks, boxes, matches, p)
@@ -154,13 +209,19 @@ class DropletTracker:
         tracks, self.false_boxes, terminated = terminate(
             tracks, left, support, flow, self.false_boxes, p
         )
+        ended = np.zeros(0, np.int64)
         if terminated:
             ended = np.flatnonzero(np.isin(before.ids, terminated) & before.confirmed)
             passages = passages.leaving(before[ended])
         self.passages = passages
+        unseen: tuple[Unseen, ...] = ()
+        if flow.images:
+            known = before.confirmed & (before.frames == FRAMES_TO_ENTER)
+            known[ended] |= before.frames[ended] < FRAMES_TO_ENTER
+            unseen = self._unseen(before, ended, np.flatnonzero(known), flow)
         if flow.images and self._n_frames % FRAMES_TO_WEIGH == 0 and len(tracks):
             self._weighed = self._weighed.of(flow, median(tracks.diameters))
-        self.tracks, self.noise, self.flow = tracks, noise, flow.learned(tracks)
+        self.tracks, self.noise, self.flow = tracks, noise, flow.learned(tracks, confirmed)
         for new, old in merged.pairs:
             track_ids[track_ids == new] = old
         return Update(
@@ -169,6 +230,7 @@ class DropletTracker:
             terminated=terminated,
             merged=merged.pairs,
             resumed=(*resumed, *merged.resumed),
+            unseen=unseen,
         )
 
     def _evidence_of_others(self, tracks: Tracks, flow: Flow) -> float:
@@ -229,7 +291,7 @@ def _after_gaps(
 
 def _resumed(passages: Passages, tracks: Tracks, matches: Matches) -> Passages:
     """With this image, and the lost droplets that are seen again in it."""
-    passages = passages.with_image()
+    passages = passages.with_image(int(tracks.confirmed[matches.rows].sum()))
     late = tracks.unseen > 1
     if not late.any():
         return passages

@@ -10,7 +10,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from droptrack.data.arrays import Floats
 from droptrack.data.trajectories import Trajectories, sorted_trajectories
 from droptrack.tracking.events.joins import MAX_IMBALANCE, Join, Track, joins_of, tracks_of
 
@@ -85,13 +84,13 @@ def find_events(rows: Trajectories, size: tuple[int, int]) -> tuple[list[Event],
     }
     ended |= {one.child for one in splits if one.child != one.second}
     begun |= {one.child for one in joins if one.child != one.second}
-    boxes = _end_boxes(rows)
+    at_edge = _ends_at_edge(rows, size)
     for track in tracks:
         one = track.track_id
         if track.frames[0] > first and one not in begun:
-            events.append(_alone(track, 0, boxes[one][0], size, cuts))
+            events.append(_alone(track, 0, cuts, at_edge=at_edge[one][0]))
         if track.frames[-1] < last and one not in ended:
-            events.append(_alone(track, -1, boxes[one][1], size, cuts))
+            events.append(_alone(track, -1, cuts, at_edge=at_edge[one][1]))
     events.sort(key=lambda event: (event.frame, event.kind, event.parents, event.children))
     return events, _with_parents(rows, cuts, events)
 
@@ -151,12 +150,8 @@ def _numbers(pieces: Sequence[tuple[int, int]]) -> tuple[int, ...]:
     return tuple(sorted(track_id + piece * PIECES for track_id, piece in pieces))
 
 
-def _alone(
-    track: Track, end: int, box: Floats, size: tuple[int, int], cuts: dict[int, list[int]]
-) -> Event:
+def _alone(track: Track, end: int, cuts: dict[int, list[int]], *, at_edge: bool) -> Event:
     """A track's first (0) or last (-1) row: at the edge it enters or leaves, else is doubtful."""
-    low, high = box[:2] - box[2:] / 2, np.array(size) - box[:2] - box[2:] / 2
-    at_edge = min(low.min(), high.min()) < EDGE_SHARE * float(box[2:].max())
     frame = int(track.frames[end])
     one = _numbers([_piece(track.track_id, frame, cuts)])
     if end == 0:
@@ -175,15 +170,21 @@ def _alone(
     )
 
 
-def _end_boxes(rows: Trajectories) -> dict[int, tuple[Floats, Floats]]:
-    """The first and the last box of each track."""
+def _ends_at_edge(rows: Trajectories, size: tuple[int, int]) -> dict[int, tuple[bool, bool]]:
+    """Whether the first and the last row of each track are near the edge of an image of a size.
+
+    Or cut by an edge of another kind, as a region or a field stop, where that was measured.
+    """
     order = np.lexsort((rows.frame, rows.track_id))
     ids, starts = np.unique(rows.track_id[order], return_index=True)
     stops = np.append(starts[1:], len(order)) - 1
-    return {
-        one: (rows.boxes[order[start]], rows.boxes[order[stop]])
-        for one, start, stop in zip(ids.tolist(), starts.tolist(), stops.tolist(), strict=True)
-    }
+    low = rows.boxes[:, :2] - rows.boxes[:, 2:] / 2
+    high = np.array(size) - rows.boxes[:, :2] - rows.boxes[:, 2:] / 2
+    room = np.minimum(low, high).min(axis=1)
+    near = room < EDGE_SHARE * rows.boxes[:, 2:].max(axis=1)
+    near |= rows.columns.get("at_edge", np.zeros(len(rows))) == 1
+    first, last = (near[order[some]].tolist() for some in (starts, stops))
+    return dict(zip(ids.tolist(), zip(first, last, strict=True), strict=True))
 
 
 def _with_parents(

@@ -19,12 +19,14 @@ from droptrack.tracking.events.lineage import Event, Kind
 
 BINS = 30  # along the channel, and in time
 MIN_IN_BIN = 3  # values for which a bin's median is drawn
-MARKERS = {Kind.coalescence: "o", Kind.break_up: "x", Kind.entering: ">", Kind.leaving: "<"}
+# not arrows: droplets enter and leave on any side
+MARKERS = {Kind.coalescence: "o", Kind.break_up: "x", Kind.entering: "+", Kind.leaving: "s"}
 STYLE: dict[Any, Any] = {
     "font.size": 9,
     "savefig.dpi": 200,
     "pdf.fonttype": 42,
     "axes.spines.top": False,
+    "axes.spines.right": False,
 }
 
 
@@ -168,19 +170,23 @@ def _draw_bins(axes: Axes, along: Floats, values: Floats) -> None:
     along, values = along[known], values[known]
     if not len(along):
         axes.set_title("was not measured")
+        axes.set(xticks=[], yticks=[])
         return
     edges = np.linspace(along.min(), along.max() + 1e-9, BINS + 1)
     bins: Rows = np.clip(np.digitize(along, edges) - 1, 0, BINS - 1)
-    middle, spread = [], []
+    middle = (edges[:-1] + edges[1:]) / 2
+    spread = np.full((3, BINS), np.nan)  # of bins with too few values: a gap in the lines
     for k in range(BINS):
         some = values[bins == k]
         if len(some) >= MIN_IN_BIN:
-            middle.append((edges[k] + edges[k + 1]) / 2)
-            spread.append(np.quantile(some, (0.1, 0.5, 0.9)))
-    if middle:
-        low, median, high = np.array(spread).T
-        axes.fill_between(middle, low, high, color="tab:blue", alpha=0.25, linewidth=0)
-        axes.plot(middle, median, color="tab:blue")
+            spread[:, k] = np.quantile(some, (0.1, 0.5, 0.9))
+    low, median, high = spread
+    if np.isnan(median).all():
+        axes.set_title("too few values")
+        axes.set(xticks=[], yticks=[])
+        return
+    axes.fill_between(middle, low, high, color="tab:blue", alpha=0.25, linewidth=0)
+    axes.plot(middle, median, ".-", color="tab:blue", markersize=3)
 
 
 def _kymograph(figure: Figure, data: _Data) -> None:
@@ -205,6 +211,7 @@ def _paths(figure: Figure, data: _Data) -> None:
         axes.plot(whole, data.y[mine], color="tab:blue", linewidth=0.8)
     _mark_events(axes, data, lambda event: event.y * data.scale)
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
+    axes.spines[:].set_visible(True)
     axes.set(xlabel=f"x / {data.length}", ylabel=f"y / {data.length}")
 
 

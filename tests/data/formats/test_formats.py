@@ -239,6 +239,125 @@ def test_trackmate_s_csv_has_its_four_lines(ours: Path) -> None:
     ]
 
 
+def test_features_are_declared_as_trackmate_declares_them(ours: Path) -> None:
+    """Feature, name, short name, dimension, isint: as in a file that TrackMate 7.11 wrote."""
+    defused = pytest.importorskip("defusedxml.ElementTree")
+    out = ours.parent / "model.xml"
+    convert(ours, out)
+    root = defused.parse(out).getroot()
+    names = ("feature", "name", "shortname", "dimension", "isint")
+    declared = {tuple(one.attrib[name] for name in names) for one in root.iter("Feature")}
+    assert declared == {
+        ("QUALITY", "Quality", "Quality", "QUALITY", "false"),
+        ("POSITION_X", "X", "X", "POSITION", "false"),
+        ("POSITION_Y", "Y", "Y", "POSITION", "false"),
+        ("POSITION_Z", "Z", "Z", "POSITION", "false"),
+        ("POSITION_T", "T", "T", "TIME", "false"),
+        ("FRAME", "Frame", "Frame", "NONE", "true"),
+        ("RADIUS", "Radius", "R", "LENGTH", "false"),
+        ("VISIBILITY", "Visibility", "Visibility", "NONE", "true"),
+        ("AREA", "Area", "Area", "AREA", "false"),
+        ("SPOT_SOURCE_ID", "Source spot ID", "Source ID", "NONE", "true"),
+        ("SPOT_TARGET_ID", "Target spot ID", "Target ID", "NONE", "true"),
+        ("LINK_COST", "Edge cost", "Cost", "COST", "false"),
+        ("TRACK_INDEX", "Track index", "Index", "NONE", "true"),
+        ("TRACK_ID", "Track ID", "ID", "NONE", "true"),
+        ("NUMBER_SPOTS", "Number of spots in track", "N spots", "NONE", "true"),
+    }
+    settings = root.find("Settings")
+    assert [one.tag for one in settings] == [
+        *("ImageData", "BasicSettings", "DetectorSettings", "InitialSpotFilter"),
+        *("SpotFilterCollection", "TrackerSettings", "TrackFilterCollection"),
+        "AnalyzerCollection",
+    ]
+    image = settings.find("ImageData").attrib
+    assert {name: image[name] for name in ("width", "height", "nframes", "pixelwidth")} == {
+        **{"width": "640", "height": "480", "nframes": "10", "pixelwidth": "0.5"}
+    }
+    assert float(image["timeinterval"]) == 0.04
+    assert settings.find("BasicSettings").attrib["xend"] == "639"
+
+
+def test_areas_come_home_from_trackmate_and_what_does_not_is_said(ours: Path) -> None:
+    pytest.importorskip("defusedxml")
+    out = ours.parent / "model.xml"
+    convert(ours, out)
+    text = out.read_text().replace('<Spot ID="0"', '<Spot SNR_CH1="2.5" ID="0"')
+    out.write_text(text)
+    assert "left out of spots: SNR_CH1" in convert(out, ours.parent / "home.csv")
+    rows, _ = read_trajectories(ours.parent / "home.csv")
+    expected = three_droplets()
+    expected = expected[expected.track_id != 4]
+    np.testing.assert_allclose(
+        rows.columns["area_px2"], expected.columns["area_px2"], rtol=1e-6, equal_nan=True
+    )
+    assert np.isnan(rows.columns["area_px2"]).sum() == 5
+
+
+def with_columns(**columns: np.ndarray) -> Trajectories:
+    rows = three_droplets()
+    whole = (rows.frame, rows.track_id, rows.x, rows.y, rows.boxes, rows.scores, rows.observed)
+    return sorted_trajectories(*whole, columns)
+
+
+def test_classes_come_home_from_cvat(tmp_path: Path) -> None:
+    """A droplet's label is the class that it has in most frames."""
+    pytest.importorskip("defusedxml")
+    ids = np.array([0, 7, 3])[np.searchsorted([1, 2, 4], three_droplets().track_id)]
+    seen = ids.copy()
+    seen[0] = 7  # of droplet 1, in one frame
+    names = np.array(["empty", "", "", "debris", "", "", "", "one cell"])
+    path, out = tmp_path / "classes.csv", tmp_path / "cvat.xml"
+    rows = with_columns(class_id=seen, class_name=names[seen])
+    write_trajectories(path, rows, ABOUT)
+    assert "cannot hold # lines, scores" not in convert(path, tmp_path / "t.csv")
+    assert "classes of single frames" in convert(path, out, "--to", "cvat")
+    found, _ = back(out)
+    assert found.columns["class_name"].tolist() == names[ids].tolist()
+    assert np.unique(found.columns["class_id"]).tolist() == [0, 1, 2]  # in the task's order
+
+
+def test_parents_are_edges_of_the_graph(tmp_path: Path) -> None:
+    """Droplet 4 came of 1 and 2: from their last nodes to its first."""
+    pytest.importorskip("geff")
+    core_io = pytest.importorskip("geff.core_io")
+    of_4 = three_droplets().track_id == 4
+    rows = with_columns(parent_id=np.where(of_4, 1, 0), parent_id_2=np.where(of_4, 2, 0))
+    path, out = tmp_path / "born.csv", tmp_path / "born.geff"
+    write_trajectories(path, rows, ABOUT)
+    convert(path, out)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read = core_io.read_to_memory(out)
+    edges = {tuple(pair) for pair in np.asarray(read["edge_ids"]).tolist()}
+    assert len(edges) == 9 + 4 + 2
+    child = int(np.flatnonzero(of_4)[0])
+    last = [int(np.flatnonzero(rows.track_id == k)[-1]) for k in (1, 2)]
+    assert {pair for pair in edges if pair[1] == child} == {(one, child) for one in last}
+
+
+def test_files_of_newer_versions_are_refused(ours: Path) -> None:
+    pytest.importorskip("defusedxml")
+    folder = ours.parent
+    (folder / "new.xml").write_text('<TrackMate version="9.1.0"><Model/></TrackMate>')
+    (folder / "cvat.xml").write_text("<annotations><version>2.0</version></annotations>")
+    out = folder / "out.csv"
+    assert "is of TrackMate 9.1.0; files up to those of TrackMate 8" in refused(
+        folder / "new.xml", out
+    )
+    assert "is CVAT for video 2.0; up to 1.1 is read" in refused(folder / "cvat.xml", out)
+    pytest.importorskip("geff")
+    graph = folder / "t.geff"
+    convert(ours, graph)
+    about = next(one for one in (graph / "zarr.json", graph / ".zattrs") if one.exists())
+    text = about.read_text()
+    version = json.loads(text)
+    version = version.get("attributes", version)["geff"]["geff_version"]
+    about.write_text(text.replace(f'"{version}"', '"99.0"'))
+    assert f"{graph}: " in refused(graph, out)
+    assert not out.exists()
+
+
 def test_a_table_that_trackmate_wrote_is_read(tmp_path: Path) -> None:
     """Its columns and lines are those of a real export; one spot is in no track."""
     path = tmp_path / "export.csv"
@@ -253,7 +372,9 @@ def test_a_table_that_trackmate_wrote_is_read(tmp_path: Path) -> None:
         "ID77829,77829,,3.4,1.25,1.5,0.0,498.0,498,5.0,1,,135.8\n"
     )
     home = tmp_path / "home.csv"
-    assert "1 spots in no track left out" in convert(path, home)
+    said = convert(path, home)
+    assert "1 spots in no track left out" in said
+    assert "columns left out: MANUAL_SPOT_COLOR, MEAN_INTENSITY_CH1" in said
     rows, _ = read_trajectories(home)
     assert rows.frame.tolist() == [497, 498]
     assert rows.track_id.tolist() == [2, 2]

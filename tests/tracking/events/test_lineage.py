@@ -126,6 +126,20 @@ def test_entering_leaving_and_what_is_doubtful() -> None:
     assert [e.confidence for e in events] == [1, 0.3, 0.3, 1]
 
 
+def test_what_a_region_or_a_field_stop_cuts_enters_and_leaves_there() -> None:
+    """In the middle of the image: cut in its first frame, and in its last one."""
+    passing = line(1, range(3, 20), 200, 5, 10)
+    rows = rows_of(passing, line(2, range(30), 500, 0, 10))
+    cut = np.isin(rows.frame, [3, 19]) & (rows.track_id == 1)
+    columns = {"at_edge": cut.astype(float)}
+    whole = (rows.frame, rows.track_id, rows.x, rows.y, rows.boxes, rows.scores, rows.observed)
+    events, _ = find_events(sorted_trajectories(*whole, columns), (1000, 100))
+    assert [(e.kind.value, e.frame, e.confidence) for e in events] == [
+        ("entering", 3, 1.0), ("leaving", 20, 1.0),
+    ]  # fmt: skip
+    assert [e.kind.value for e in find_events(rows, (1000, 100))[0]] == ["appearing", "vanishing"]
+
+
 def test_a_droplet_that_only_vanishes_beside_another_does_not_coalesce() -> None:
     rows = rows_of(line(1, range(10), 60, 0, 10), line(2, range(20), 71, 0, 10))
     events, new = find_events(rows, (200, 100))

@@ -1,0 +1,1 @@
+"""The paper from one command: its data sets, networks, flows, figures, tables and numbers."""

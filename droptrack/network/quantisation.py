@@ -178,7 +178,7 @@ def write_calibration(weights: Path, calibration: Calibration) -> Path:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path) as partial:
                 np.savez(partial, **arrays)
-        except (OSError, DroptrackError):
+        except OSError:
             continue
         return path
     raise DroptrackError(f"{weights}: neither its folder nor the user's cache is writable")

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from droptrack.errors import DroptrackError
+from droptrack.errors import DroptrackError, UnwritableError
 
 
 @contextmanager
@@ -32,7 +32,9 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise DroptrackError(f"{path}: cannot be written: {error.strerror or error}") from None
+        raise UnwritableError(
+            f"{path}: cannot be written: {error.strerror or error}", error.errno
+        ) from None
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.files import reading
 from droptrack.data.sources.opencv_names import printable
-from droptrack.errors import DroptrackError
+from droptrack.errors import DroptrackError, UnwritableError
 
 if TYPE_CHECKING:
     import pandas
@@ -203,7 +203,9 @@ class TrajectoryWriter:
         except OSError as error:
             with suppress(OSError):  # of what is no file
                 self._file.truncate(self._n_bytes)
-            raise DroptrackError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise UnwritableError(
+                f"{self.path}: cannot be written: {error.strerror}", error.errno
+            ) from None
         self._n_bytes += len(data)
 
     def close(self) -> None:

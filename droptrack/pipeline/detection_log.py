@@ -16,7 +16,7 @@ import numpy as np
 
 from droptrack.data.detections import Detections
 from droptrack.data.report import Value
-from droptrack.errors import DroptrackError
+from droptrack.errors import DroptrackError, UnwritableError
 
 NAME = "detections.part"
 N_VALUES = 6  # of a box
@@ -36,7 +36,9 @@ class DetectionLog:
         try:
             self._file: BinaryIO = self.path.open("r+b" if end else "w+b")
         except OSError as error:
-            raise DroptrackError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise UnwritableError(
+                f"{self.path}: cannot be written: {error.strerror}", error.errno
+            ) from None
         try:
             if end:
                 self._file.truncate(end)  # half a line, maybe
@@ -80,7 +82,9 @@ class DetectionLog:
             self._file.write(line.encode() + b"\n")
             self._file.flush()
         except OSError as error:
-            raise DroptrackError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise UnwritableError(
+                f"{self.path}: cannot be written: {error.strerror}", error.errno
+            ) from None
 
     def close(self) -> None:
         """Close it, and keep it."""

@@ -208,7 +208,8 @@ def _table(
     for i in order.tolist():
         x, y, w, h, box_x, box_y = _text(places[i])
         score, class_id = f"{found.scores[i]:.6f}", int(found.class_ids[i])
-        row = [printable(str(image.source)), image.number, x, y, w, h, score, class_id, int(cut[i])]
+        source = printable(str(image.source))
+        row = [source, image.number, x, y, w, h, score, class_id, int(cut[i])]
         sizes = [*_text(shapes[i]), *_text(in_um[i])]
         named = [content.classes.name_of(class_id)] if content.classes is not None else []
         yield [*row, box_x, box_y, int(measured.measured[i]), *sizes, *named]

@@ -20,7 +20,7 @@ from droptrack.data.trajectories import Trajectories, TrajectoryWriter, read_tra
 from droptrack.data.units import Units
 from droptrack.data.video import Video, VideoWriter, mpeg4_info
 from droptrack.detection.engine_choice import Engines
-from droptrack.errors import DroptrackError, InterruptedRunError
+from droptrack.errors import DroptrackError, InterruptedRunError, UnwritableError
 from droptrack.interrupts import whole
 from droptrack.measurement.shapes import COLUMNS as SHAPE
 from droptrack.network.darknet_cfg import cfg_text
@@ -157,7 +157,10 @@ def run(
     with whole():
         write_report(folder, report, results.paths, size)
     if problem is not None:
+        number = getattr(problem, "errno", None)
         problem = type(problem)(f"{problem}; what was tracked until there is in {folder}")
+        if isinstance(problem, UnwritableError):
+            problem.errno = number
     else:
         _say_what_is_odd(config, opened.source, results, n_missing, say)
         for doubt in odd:

@@ -85,7 +85,7 @@ def shear(
     uneven: Uneven = Camera.uneven,
     fps: Fps = 25,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
-    device: ComputedOn = "cpu",
+    device: ComputedOn = "auto",
     threads: Threads = 0,
     resume: Resume = False,
     change: Annotated[
@@ -131,7 +131,7 @@ def constriction(
     noise: Noise = Camera.noise,
     uneven: Uneven = Camera.uneven,
     fps: Fps = 25,
-    device: ComputedOn = "cpu",
+    device: ComputedOn = "auto",
     threads: Threads = 0,
     resume: Resume = False,
     change: Annotated[

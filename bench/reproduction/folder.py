@@ -27,7 +27,7 @@ class Given:
     tiny_weights: Path | None = None
     full_weights: Path | None = None
     real: Path | None = None
-    device: Device = "cpu"
+    device: Device = "auto"
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,9 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield partial
         os.replace(partial, path)
+    except FileNotFoundError:  # of what is read meanwhile, or of the folder
+        partial.unlink(missing_ok=True)
+        raise
     except OSError as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)

@@ -41,7 +41,7 @@ WORKS = works()
 on_cuda = pytest.mark.skipif(not WORKS, reason="needs CUDA")
 on_gpu = pytest.mark.skipif(not WORKS or SIMULATED, reason="needs a GPU")
 # Numba warns of grids too small to fill a GPU, as these are
-pytestmark = pytest.mark.filterwarnings("ignore:Grid size")
+pytestmark = pytest.mark.filterwarnings("ignore:.*Grid size")
 
 
 def tiny_constriction(**changes: Any) -> Params:

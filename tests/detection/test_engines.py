@@ -115,16 +115,19 @@ def test_images_started_before_others_are_done_are_not_mixed_up(
 ) -> None:
     own = detector(backend, precision)
     frames = [grey_frame(SCENES["c"](np.random.default_rng([3, seed])).image) for seed in range(5)]
-    expected = [own.detect([frame])[0].boxes.tolist() for frame in frames]
+    expected = [own.detect([frame])[0].boxes for frame in frames]
     assert len({len(boxes) for boxes in expected}) > 1
+    # on a GPU, two images are computed in another order than one
+    atol = 0.01 if backend == "torch-cuda" else 0.0
     for parts in ([1, 1, 1, 1, 1], [2, 3]):
         ends = np.cumsum(parts)
         running = [
             own.start(frames[end - n : end], StageTimes())
             for n, end in zip(parts, ends, strict=True)
         ]
-        found = [detections.boxes.tolist() for finish in running for detections in finish()]
-        assert found == expected
+        found = [detections.boxes for finish in running for detections in finish()]
+        for boxes, alone in zip(found, expected, strict=True):
+            np.testing.assert_allclose(boxes, alone, rtol=0, atol=atol)
 
 
 def test_onnx_runtime_finds_what_opencv_finds() -> None:
@@ -222,6 +225,7 @@ def test_auto_has_the_network_pruned_and_a_named_precision_has_all_of_it() -> No
 
 
 @needs_openvino
+@pytest.mark.skipif(has_cuda() or has_torch_cuda(), reason="there is a GPU, which is faster")
 @pytest.mark.parametrize(
     ("faster", "calibrated", "other"),
     [({"int8", "bf16"}, "int8", "bf16"), ({"bf16"}, "bf16", "bf16"), (set(), "fp32", "fp32")],
@@ -319,7 +323,8 @@ def test_an_opencv_without_darknet_is_named_and_gone_around(
         said: list[str] = []
         detector = choose_detector(network, say=said.append)
         assert detector.engine.name.startswith("torch")
-        assert any("cannot read Darknet's networks" in line for line in said)
+        if not has_torch_cuda():  # which comes before OpenCV
+            assert any("cannot read Darknet's networks" in line for line in said)
     installed.clear()
     with pytest.raises(DroptrackError, match="cannot read Darknet's networks"):
         choose_detector(network)

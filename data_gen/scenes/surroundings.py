@@ -64,10 +64,12 @@ def add_text(rng: np.random.Generator, canvas: Float32s) -> None:
     corner = (int(rng.integers(4, width // 2)), int(rng.choice([30, height - 12])))
     digits = "".join(str(d) for d in rng.integers(0, 10, 6))
     text = f"{digits[:2]}:{digits[2:4]}.{digits[4:]} {rng.choice(['ms', 'fps', 'um', ''])}"
-    cv2.putText(canvas, text, corner, int(rng.integers(0, 4)), rng.uniform(0.4, 1.1), level, 1)
+    written = np.zeros(canvas.shape, np.uint8)  # OpenCV 5 writes on bytes only
+    cv2.putText(written, text, corner, int(rng.integers(0, 4)), rng.uniform(0.4, 1.1), 1, 1)
     if rng.random() < 0.5:
         x, length = corner[0], int(rng.integers(40, 200))
-        cv2.line(canvas, (x, corner[1] + 8), (x + length, corner[1] + 8), level, 3)
+        cv2.line(written, (x, corner[1] + 8), (x + length, corner[1] + 8), 1, 3)
+    canvas[written > 0] = np.float32(level)
 
 
 def field_stop(rng: np.random.Generator, shape: tuple[int, int]) -> Bools:

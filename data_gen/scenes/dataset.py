@@ -5,7 +5,10 @@ import json
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Generator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -133,14 +136,22 @@ def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, N
             done += _write_chunk((folder, recipe, chunk))
             yield done
     elif chunks:
-        # the pool ends its processes with SIGTERM, which is a Ctrl-C to the first process only
-        ends = (signal.SIGTERM, signal.SIG_DFL)
-        with multiprocessing.Pool(workers, signal.signal, ends) as pool:
-            for written in pool.imap_unordered(
-                _write_chunk, ((folder, recipe, chunk) for chunk in chunks)
-            ):
-                done += written
+        # not forked: a fork of a process that has threads may wait for ever for one of their locks
+        pool = ProcessPoolExecutor(
+            min(workers, len(chunks)), multiprocessing.get_context("spawn"), _begin_drawing
+        )
+        try:
+            written = [pool.submit(_write_chunk, (folder, recipe, chunk)) for chunk in chunks]
+            for one in as_completed(written):
+                done += one.result()
                 yield done
+        except BrokenProcessPool as error:
+            raise DroptrackError(
+                f"{folder}: a process that draws ended by itself (no memory left?); "
+                "the same command goes on where it stopped, --workers 1 needs the least"
+            ) from error
+        finally:
+            pool.shutdown(cancel_futures=True)
     kinds = recipe.kinds()
     scenes = {
         image_name(split, i): kinds[i % len(kinds)]
@@ -151,9 +162,22 @@ def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, N
     write_data_file(folder, ("droplet",), counts)
 
 
+def _begin_drawing() -> None:
+    """One image a core; Ctrl-C is the first process's to hear, and its end is that of this one."""
+    cv2.setNumThreads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    first = multiprocessing.parent_process()
+    assert first is not None
+    threading.Thread(target=_end_with, args=(first,), daemon=True).start()
+
+
+def _end_with(process: multiprocessing.process.BaseProcess) -> None:
+    process.join()
+    os._exit(1)
+
+
 def _write_chunk(job: tuple[Path, Recipe, list[tuple[str, int]]]) -> int:
     folder, recipe, chunk = job
-    cv2.setNumThreads(1)
     for split, index in chunk:
         write_image(folder, recipe, split, index)
     return len(chunk)

@@ -1,8 +1,14 @@
 import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from typer.testing import CliRunner
 
@@ -57,6 +63,43 @@ def test_an_interrupted_data_set_is_completed_to_the_same_bytes(tmp_path: Path) 
     assert len(list((tmp_path / "cut" / "train").glob("*.txt"))) == 32
     (tmp_path / "cut" / "train" / "000040.jpg").write_bytes(b"half an ima")  # no label yet
     make(tmp_path / "cut", recipe)
+    assert digest(tmp_path / "cut") == digest(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("killed", ["the first process", "one that draws", "all, by Ctrl-C"])
+def test_a_data_set_whose_drawing_was_killed_is_completed_to_the_same_bytes(
+    tmp_path: Path, killed: str
+) -> None:
+    recipe = Recipe(scene="a", images=700, valid=1, seed=1)
+    command = [
+        sys.executable, "-m", "data_gen.make_dataset", "--scene=a", "--images=700", "--valid=1",
+        "--seed=1", f"--out={tmp_path / 'cut'}", "--workers=2",
+    ]  # fmt: skip
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as first:
+        while not list(tmp_path.glob("cut/train/*40.txt")):
+            assert first.poll() is None
+            time.sleep(0.05)
+        drawing = [
+            one
+            for one in psutil.Process(first.pid).children()
+            if "spawn_main" in " ".join(one.cmdline())
+        ]
+        if killed == "the first process":
+            first.kill()
+        elif killed == "one that draws":
+            drawing[-1].kill()
+        else:
+            os.killpg(first.pid, signal.SIGINT)
+        said = first.communicate(timeout=60)[1]
+    assert "Traceback" not in said
+    assert ("ended by itself" in said) == (killed == "one that draws")
+    assert ("resumes it" in said) == (killed == "all, by Ctrl-C")
+    assert psutil.wait_procs(drawing, timeout=20)[1] == []
+    assert 0 < len(list((tmp_path / "cut" / "train").glob("*.txt"))) < recipe.images
+    make(tmp_path / "cut", recipe, workers=2)
+    make(tmp_path / "whole", recipe, workers=2)
     assert digest(tmp_path / "cut") == digest(tmp_path / "whole")
 
 

@@ -115,7 +115,7 @@ def score_set(
         if not rules.cut_count or rules.only_whole_plugs:
             hit[(hit == 0) & _cut(found.boxes, one.image.shape)] = np.nan
         if rules.only_whole_plugs:
-            line = lines[_series(one.path)]
+            line = lines[_series(one)]
             hit[(hit == 0) & _beside_plugs(found.boxes, one.truth.boxes, line)] = np.nan
         scores.append(found.scores)
         hits.append(hit)
@@ -168,16 +168,16 @@ def _cut(boxes: Floats, shape: tuple[int, ...]) -> Bools:
     return np.asarray((low < EDGE_PX).any(axis=1) | (high > size - EDGE_PX).any(axis=1))
 
 
-def _series(path: Path) -> str:
-    """Images of one video have names that begin alike."""
-    return path.stem.split("_")[0]
+def _series(one: LabelledImage) -> tuple[str, tuple[int, ...]]:
+    """Images of one video have names that begin alike, and one size."""
+    return one.path.stem.split("_")[0], one.image.shape
 
 
-def _channel_lines(images: Iterable[LabelledImage]) -> dict[str, Floats]:
+def _channel_lines(images: Iterable[LabelledImage]) -> dict[tuple[str, tuple[int, ...]], Floats]:
     """The typical box (4,) of each series: the channel is where its plugs are."""
-    series: dict[str, list[Floats]] = {}
+    series: dict[tuple[str, tuple[int, ...]], list[Floats]] = {}
     for one in images:
-        series.setdefault(_series(one.path), []).append(one.truth.boxes)
+        series.setdefault(_series(one), []).append(one.truth.boxes)
     return {name: np.median(np.concatenate(boxes), axis=0) for name, boxes in series.items()}
 
 

@@ -30,6 +30,8 @@ from droptrack.network.pruning import (
 from droptrack.network.quantisation import (
     MAX_LOSS,
     Calibration,
+    Range,
+    least_error_range,
     merge_ranges,
     quantised_layers,
     sha256_of,
@@ -42,6 +44,7 @@ MAX_LOSSES = (MAX_LOSS, 0.01)  # of mAP, on images as they are and degraded; abo
 CHECKED_SIZES = (0.5, 1.0, 1.4)  # of the cfg's input, for a calibration that holds for any
 KNOWN_PX = (8.0, 240.0)  # sizes of droplets in the input that count at these sizes
 ZOOMS = (0.35, 1.6)  # that images are shown at for it
+BINS = 4096  # of a layer's outputs, for its range
 TRIES = 3  # errors to prune for, before nothing is pruned
 PRUNED_LESS = 4  # how much smaller the error is at the next try
 
@@ -67,7 +70,7 @@ def calibrate(
     and where int8 costs more than MAX_LOSS without pruning, too.
     """
     try:
-        from droptrack.detection.engines.openvino import OpenVinoEngine, output_ranges
+        from droptrack.detection.engines.openvino import OpenVinoEngine
     except ImportError:
         raise DroptrackError("calibrating needs: pip install 'droptrack[openvino]'") from None
     values = read_weights(weights, cfg)
@@ -83,9 +86,7 @@ def calibrate(
     frames = functools.partial(_frames, train, zoomed=any_size)
     for pruning in prunings(cfg, values, frames, error):
         smaller, kept = pruned(cfg, values, pruning)
-        ranges = merge_ranges(
-            cfg, output_ranges(smaller, kept, quantised_layers(cfg), frames("ranges"))
-        )
+        ranges = merge_ranges(cfg, measure_ranges(smaller, kept, quantised_layers(cfg), frames))
         engines = (
             OpenVinoEngine(resized(smaller, one.width, one.height), kept, "int8", MIN_SCORE, ranges)
             for one in cfgs
@@ -200,6 +201,26 @@ def prunings(
         for divided in range(TRIES):
             yield choose_pruning(cfg, kernels, moments, error / PRUNED_LESS**divided)
     yield NO_PRUNING
+
+
+def measure_ranges(
+    cfg: Cfg,
+    weights: Weights,
+    layers: Sequence[int],
+    frames: Callable[[str], Iterable[Frame]],
+) -> dict[int, Range]:
+    """The ranges in which 8 bits show best what layers put out over frames, by layer.
+
+    `frames`: shows the same images twice, under the names of two stages.
+    """
+    from droptrack.detection.engines.openvino import layer_outputs, output_ranges
+
+    limits = output_ranges(cfg, weights, layers, frames("limits"))
+    counts = {layer: np.zeros(BINS) for layer in layers}
+    for outputs in layer_outputs(cfg, weights, layers, frames("ranges")):
+        for layer, values in outputs.items():
+            counts[layer] += np.histogram(values, BINS, limits[layer])[0]
+    return {layer: least_error_range(counts[layer], limits[layer]) for layer in layers}
 
 
 def measure_moments(

@@ -22,6 +22,8 @@ STRETCH = 40  # frames
 KEPT = 60  # frames kept back, at most: the last of a video
 KEPT_SHARE = 5  # one in so many
 MAX_BYTES = 6e8  # of frames that are held
+# what a smooth image has none of, and noise 6 times (Immerkaer 1996)
+NOISE = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
 MIN_CHANGE = 4.0  # grey levels, of a pixel and its neighbours, that something moved
 MIN_MOVED_PX = 12  # pixels
 MIN_KEPT_LABELS = 8  # labelled images of which some are kept back
@@ -191,16 +193,17 @@ def is_still(shots: Iterable[Shot]) -> bool:
     """Whether nothing moves: images of one size that differ by no more than noise.
 
     Images are compared with the first one, less how the light changed; single pixels do not count.
+    Noise is what neighbouring pixels do not share, since in a foam everything may move.
     """
     first: np.ndarray | None = None
     for shot in shots:
-        grey = cv2.blur(shot.frame.mean(axis=2, dtype=np.float32), (3, 3))
+        grey = shot.frame.mean(axis=2, dtype=np.float32)
         if first is None:
             first = grey
             continue
         change = grey - first
-        change -= np.median(change)
-        sigma = 1.4826 * float(np.median(np.abs(change)))
+        sigma = 1.4826 / 6 * float(np.median(np.abs(cv2.filter2D(change, -1, NOISE))))
+        change = cv2.blur(change - np.median(change), (3, 3))
         moved = (np.abs(change) > max(MIN_CHANGE, 6 * sigma)).astype(np.uint8)
         moved = cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
         if int(moved.sum()) > MIN_MOVED_PX:

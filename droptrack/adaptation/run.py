@@ -302,7 +302,6 @@ def _train(config: AdaptationConfig, found: _Found, data: Path, say: Say) -> Non
             sizes=SIZES,
             seed=config.seed,
             precision=TrainingPrecision.bf16 if bf16 else TrainingPrecision.fp32,
-            workers=0,  # processes forked after an engine ran in threads may wait for ever
             frozen_statistics=True,
         )
 

@@ -42,7 +42,7 @@ CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
 MIN_INSIDE = 0.8  # share of a box's area
 MIN_SHOWN = 3  # scales that full evidence takes
 MIN_SHARE = 0.2  # weight of the evidence at all scales, against that in the tiles of one
-TOLERANCE = 0.025  # between the qualities of scales that are as good
+TOLERANCE = 0.02  # between the qualities of scales that are as good
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     """The best scale for frames (H, W, 3) of one size; the default where nothing is seen.
 
     `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. Of
-    neighbouring scales as good as the best, within TOLERANCE, it is the one in the middle, and the
-    finer one of two, which draws tighter boxes.
+    neighbouring scales as good as the best, within TOLERANCE, it is one of the finer, which draw
+    tighter boxes and find smaller droplets, and not the last of several.
     """
     seen = [_seen(frame, detector, default) for frame in frames]
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
@@ -104,14 +104,14 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         scale: gained[scale] / ((1 - MIN_SHARE) * possible[scale] + MIN_SHARE * most)
         for scale in gained
     }
-    return ScaleChoice(_middle_of_the_best(quality), quality, diameters)
+    return ScaleChoice(_finer_of_the_best(quality), quality, diameters)
 
 
-def _middle_of_the_best(quality: dict[float, float]) -> float:
-    """The middle of the best scale and of its neighbours that are as good.
+def _finer_of_the_best(quality: dict[float, float]) -> float:
+    """Two thirds of the way through the best scale and its neighbours that are as good.
 
-    >>> _middle_of_the_best({0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99})
-    1.4
+    >>> _finer_of_the_best({0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99, 2.0: 0.98, 2.8: 0.98})
+    2.0
     """
     scales = list(quality)
     good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]
@@ -122,7 +122,7 @@ def _middle_of_the_best(quality: dict[float, float]) -> float:
     last = best
     while last < len(scales) - 1 and good[last + 1]:
         last += 1
-    return scales[(first + last + 1) // 2]
+    return scales[first + math.ceil(2 * (last - first) / 3)]
 
 
 @dataclass(frozen=True, kw_only=True)

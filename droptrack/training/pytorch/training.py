@@ -165,6 +165,8 @@ class Learner:
                 share=(self.rank, len(settings.devices)),
             ),
             num_workers=settings.workers,
+            # a fork of a process that has threads may wait for ever for one of their locks
+            multiprocessing_context="spawn" if settings.workers else None,
             collate_fn=collate,
             worker_init_fn=quiet_worker,
             pin_memory=self.device.type == "cuda",

@@ -19,7 +19,6 @@ from droptrack.data.levels import EIGHT_BITS, Levels, to_pixels
 
 CHANNELS = ("blue", "green", "red")  # of a frame
 MIN_GAIN = 1.5  # contrast of a channel, against that of the mixture, that makes it the better one
-FAINT = 128  # levels of contrast below which a frame is stretched
 NOTHING = 10  # levels of contrast below which there is nothing to be seen but noise
 SHOWN = (16, 240)  # levels that a faint frame is stretched to
 SIDE_PX = 320  # of frames whose contrast is measured, so that noise is averaged out
@@ -74,7 +73,22 @@ class Normalisation:
 UNCHANGED = Normalisation()
 
 
-def normalisation_for(frames: Sequence[Frame], *, dark: bool = False) -> Normalisation:
+@dataclass(frozen=True)
+class Stretching:
+    """Which frames are stretched: those of less contrast than `faint` levels; `gain` at most."""
+
+    faint: float
+    gain: float = math.inf
+
+
+FULL = Stretching(128)  # for networks that learned drawings of full contrast
+# for one that learned faint footage, too: stretched any further, noise looks like droplets to it
+GENTLE = Stretching(32, gain=4)
+
+
+def normalisation_for(
+    frames: Sequence[Frame], *, dark: bool = False, stretching: Stretching = FULL
+) -> Normalisation:
     """What suits a video, from some of its frames (H, W, 3) of one size.
 
     >>> faint = np.full((100, 100, 3), 60, np.uint8)
@@ -95,10 +109,17 @@ def normalisation_for(frames: Sequence[Frame], *, dark: bool = False) -> Normali
     planes = [np.asarray(shown.shown(frame)[..., 0]) for frame in frames]
     low, high = _range(planes)
     levels = None
-    if max(NOTHING, *map(_range_of_noise, planes)) <= high - low < FAINT:
-        step = (high - low) / (SHOWN[1] - SHOWN[0])
-        levels = Levels(low - SHOWN[0] * step, high + (255 - SHOWN[1]) * step, "stretched")
+    if max(NOTHING, *map(_range_of_noise, planes)) <= high - low < stretching.faint:
+        levels = _stretched(low, high, stretching.gain)
     return Normalisation(bool(coloured), channel, levels, dark)
+
+
+def _stretched(low: float, high: float, gain: float) -> Levels:
+    """What stretches levels to those SHOWN, or by a gain, the middle left where it can be."""
+    gain = min(gain, (SHOWN[1] - SHOWN[0]) / (high - low))
+    middle, half = (low + high) / 2, gain * (high - low) / 2
+    black = middle - min(max(middle, SHOWN[0] + half), SHOWN[1] - half) / gain
+    return Levels(black, black + 255 / gain, "stretched")
 
 
 def _plane(frame: Frame, channel: str | None) -> NDArray[np.uint8]:

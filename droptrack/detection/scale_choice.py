@@ -22,6 +22,7 @@ from droptrack.data.detections import Detections, iou_matrix
 from droptrack.data.frames import Frame, grey_frame, grey_plane
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.detector import Detector
+from droptrack.detection.scale import DIAMETER_PX
 from droptrack.detection.suppression import suppress_duplicates
 
 TILE = 480  # px, the sides of the input
@@ -39,7 +40,9 @@ DOUBT = 0.35  # evidence below which a detection does harm
 SMALL = 0.4  # of most droplets' diameter, below which that evidence is
 SMALL_DOUBT = 0.65
 CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
+CLEAR = 0.6  # evidence that one droplet at least has to have: dust and digits have less
 MIN_INSIDE = 0.8  # share of a box's area
+MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0.85 and more
 MIN_SHOWN = 3  # scales that full evidence takes
 MIN_SHARE = 0.2  # weight of the evidence at all scales, against that in the tiles of one
 TOLERANCE = 0.02  # between the qualities of scales that are as good
@@ -49,7 +52,8 @@ TOLERANCE = 0.02  # between the qualities of scales that are as good
 class ScaleChoice:
     """A scale, and how much of the evidence its detections have: `quality` at each scale tried.
 
-    `diameters` (N,) px of the frames: sqrt(w h) of the droplets seen at several scales.
+    None where no droplet is clear, and the scale is the default one. `diameters` (N,) px of the
+    frames: sqrt(w h) of the droplets seen at several scales.
     """
 
     scale: float
@@ -77,13 +81,17 @@ class _Look:
 
 
 def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) -> ScaleChoice:
-    """The best scale for frames (H, W, 3) of one size; the default where nothing is seen.
+    """The best scale for frames (H, W, 3) of one size; the default where nothing is clear.
 
     `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. Of
     neighbouring scales as good as the best, within TOLERANCE, it is one of the finer, which draw
-    tighter boxes and find smaller droplets, and not the last of several.
+    tighter boxes and find smaller droplets, and not the last of several. Where detections of all
+    scales are in doubt, it is the one that suits clear droplets, if half of the frames have any.
     """
     seen = [_seen(frame, detector, default) for frame in frames]
+    clear = [one.diameters[one.evidence >= CLEAR] for one in seen]
+    if not any(map(len, clear)):
+        return ScaleChoice(default)
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
     small = SMALL * _typical(diameters)
     gained: dict[float, float] = {}
@@ -97,13 +105,17 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
             gained[scale] = gained.get(scale, 0.0) + float(worth[sure].sum())
             real = counted & (worth > 0)
             possible[scale] = possible.get(scale, 0.0) + float(worth[real].sum())
-    most = max(possible.values(), default=0.0)
-    if most <= 0:
-        return ScaleChoice(default, dict.fromkeys(gained, 0.0))
+    most = max(possible.values())
     quality = {
         scale: gained[scale] / ((1 - MIN_SHARE) * possible[scale] + MIN_SHARE * most)
         for scale in gained
     }
+    if max(quality.values()) < MIN_QUALITY:
+        if 2 * sum(len(one) > 0 for one in clear) < len(seen):
+            return ScaleChoice(default)
+        wanted = DIAMETER_PX / float(np.median(np.concatenate(clear)))
+        nearest = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
+        return ScaleChoice(nearest, quality, diameters)
     return ScaleChoice(_finer_of_the_best(quality), quality, diameters)
 
 

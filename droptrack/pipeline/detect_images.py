@@ -3,7 +3,7 @@
 import functools
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -21,7 +21,7 @@ from droptrack.data.sources.microscopy import MICROSCOPY_SUFFIXES
 from droptrack.data.sources.opencv_names import printable
 from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
 from droptrack.detection.engine_choice import Engines
-from droptrack.detection.normalisation import normalisation_for
+from droptrack.detection.normalisation import UNCHANGED, normalisation_for
 from droptrack.errors import DroptrackError
 from droptrack.network.bundled import find_network
 from droptrack.network.quantisation import sha256_of
@@ -38,7 +38,6 @@ CALIBRATED = (*TIFF_SUFFIXES, *MICROSCOPY_SUFFIXES)  # files that may say how wi
 LIKE_SIZES = 1.1  # up to this ratio of widths, and of heights, images share a scale
 
 Size = tuple[int, int]  # width and height, px
-Normalise = Callable[[Frame], tuple[Frame, str]]  # an image -> what is shown of it, and how
 
 
 @dataclass(frozen=True)
@@ -60,8 +59,6 @@ def detect_images(
     check_contours(config.contours, shape=config.shape)
     detectors: dict[Size, OpenedDetector] = {}
     engines = Engines()
-    normalise = _normalised if config.normalises else _as_it_is  # each image by its own contrast
-    of_detector = replace(config, normalise=False)
     images = _read_images(config, say)
     first = next(images)  # what cannot be opened is refused before anything is written
     cfg, _ = find_network(config.weights, config.cfg)
@@ -80,14 +77,17 @@ def detect_images(
         for image in bar.track(chain([first], images), description="detecting"):
             size = (image.frame.shape[1], image.frame.shape[0])
             if size not in detectors:
-                samples = functools.partial(_samples, config, image, normalise)
-                like = _as_for_like_images(of_detector, size, detectors)
+                samples = functools.partial(_samples, config, image)
+                like = _as_for_like_images(config, size, detectors)
                 detectors[size] = open_detector(
-                    like, size, samples, live=False, say=say, engines=engines
+                    like, size, samples, live=False, say=say, engines=engines, each=True
                 )
-            seen, how = normalise(image.frame)
-            (found,) = detectors[size].detector.detect([seen])
-            results.add(image, found, how, detectors[size].region)
+            opened = detectors[size]
+            normalisation = UNCHANGED
+            if opened.stretching is not None:
+                normalisation = normalisation_for([image.frame], stretching=opened.stretching)
+            (found,) = opened.detector.detect([normalisation.shown(image.frame)])
+            results.add(image, found, str(normalisation), opened.region)
     settings = _settings(config, detectors) | (classes.settings() if classes else {})
     report = results.report(settings, seconds=time.perf_counter() - began)
     report.write_json(config.out / "report.json")
@@ -175,16 +175,6 @@ def _files(sources: tuple[str, ...]) -> Iterator[Path]:
         yield from files
 
 
-def _normalised(frame: Frame) -> tuple[Frame, str]:
-    """An image as the network is to see it, and how it differs."""
-    normalisation = normalisation_for([frame])
-    return normalisation.shown(frame), str(normalisation)
-
-
-def _as_it_is(frame: Frame) -> tuple[Frame, str]:
-    return frame, ""
-
-
 def _as_for_like_images(
     config: ImagesConfig, size: Size, detectors: Mapping[Size, OpenedDetector]
 ) -> ImagesConfig:
@@ -203,18 +193,17 @@ def _about_equal(size: Size, other: Size) -> bool:
     return all(max(sides) <= LIKE_SIZES * min(sides) for sides in pairs)
 
 
-def _samples(config: ImagesConfig, like: Image, normalise: Normalise) -> list[Frame]:
+def _samples(config: ImagesConfig, like: Image) -> list[Frame]:
     """Some frames of an image's video; or some of all images of about its size, that one first."""
     video = Video(str(like.source), config.reading)
     if like.source.suffix.lower() not in IMAGE_SUFFIXES or video.info.n_frames > 1:
-        return [normalise(frame)[0] for frame in sample_frames(video, N_SAMPLES)]
+        return sample_frames(video, N_SAMPLES)
     size = like.frame.shape[1::-1]
     files = [file for file in _files(config.sources) if file.suffix.lower() in IMAGE_SUFFIXES]
     sizes = {file: _image_size(file) for file in files if file != like.source}
     alike = [file for file, other in sizes.items() if other and _about_equal(size, other)]
     others = [alike[number] for number in spread(len(alike), N_SAMPLES - 1)]
-    frames = [like.frame, *(Video(str(file), config.reading).samples()[0] for file in others)]
-    return [normalise(frame)[0] for frame in frames]
+    return [like.frame, *(Video(str(file), config.reading).samples()[0] for file in others)]
 
 
 def _image_size(path: Path) -> tuple[int, int] | None:

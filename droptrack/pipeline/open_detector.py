@@ -13,12 +13,18 @@ from droptrack.detection import decoding, scale_choice
 from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Engines, Network, choose_detector
 from droptrack.detection.model_choice import MIN_AGREEMENT, agreement
-from droptrack.detection.normalisation import Normalisation, normalisation_for
+from droptrack.detection.normalisation import (
+    FULL,
+    GENTLE,
+    Normalisation,
+    Stretching,
+    normalisation_for,
+)
 from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
-from droptrack.network.bundled import FOOTAGE, SIMULATIONS, find_network
+from droptrack.network.bundled import FOOTAGE, MODELS, SIMULATIONS, find_network
 from droptrack.network.darknet_cfg import Cfg, resized
 from droptrack.pipeline.config import DetectorConfig
 from droptrack.pipeline.notes import Say
@@ -30,7 +36,8 @@ class OpenedDetector:
 
     Of several scales, the network and the scale are those for the smallest droplets. `settings`:
     the scale and how it was chosen, and how frames are changed, for the report. `region`: where
-    droplets count; None: everywhere.
+    droplets count; None: everywhere. `stretching`: of faint frames, as suits the network; None: of
+    none.
     """
 
     detector: Finder
@@ -39,6 +46,7 @@ class OpenedDetector:
     scale: float
     settings: dict[str, Value] = field(default_factory=dict)
     region: Region | None = None
+    stretching: Stretching | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,26 +70,25 @@ def open_detector(
     live: bool,
     say: Say,
     engines: Engines | None = None,
+    each: bool = False,
 ) -> OpenedDetector:
     """A detector for frames of a size (width, height) px; `live`: for the shortest time a frame.
 
     `samples`: some of the frames, which are asked for where something is to be chosen from them.
     `say` is told what was chosen, which engines were not used, and why. `engines`: of other videos.
+    `each`: frames are normalised one by one, by who has them detected; otherwise all alike.
     Raises DroptrackError for what is not to be had as it is wanted.
     """
     width, height = size
     plan = _given(config, width, height)
     choosing = _chooses_model(config) or not plan.canvases
     frames = samples() if config.normalises or choosing else ()
-    normalisation = Normalisation(dark=config.dark)
-    if config.normalises:
-        normalisation = normalisation_for(frames, dark=config.dark)
-    if normalisation.channel or normalisation.levels:
-        say(f"the network sees {normalisation}, of {len(frames)} frames; otherwise: --as-it-is")
     engines = Engines() if engines is None else engines
     if choosing:
-        shown = [normalisation.shown(frame) for frame in frames]
-        plan = _chosen(plan, config, shown, say, engines)
+        plan = _chosen(plan, config, _Samples(frames, each), say, engines)
+    normalisation, _ = _Samples(frames, each).as_seen(config, plan.weights)
+    if normalisation.channel or normalisation.levels:
+        say(f"the network sees {normalisation}, of {len(frames)} frames; otherwise: --as-it-is")
     with explained(say):
         decoding.load_loops()
         droplets.load_loops()
@@ -114,7 +121,31 @@ def open_detector(
             "network_sees": str(normalisation),
         },
         region=region,
+        stretching=_stretching(plan.weights) if config.normalises else None,
     )
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Some frames of a video, normalised alike; or of images, `each` by its own contrast."""
+
+    frames: Sequence[Frame]
+    each: bool
+
+    def as_seen(self, config: DetectorConfig, weights: Path) -> tuple[Normalisation, list[Frame]]:
+        """How a network with these weights is to see frames, and what it sees of these."""
+        frames, stretching = self.frames, _stretching(weights)
+        seen = Normalisation(dark=config.dark)
+        if config.normalises and self.each:
+            frames = [normalisation_for([one], stretching=stretching).shown(one) for one in frames]
+        elif config.normalises:
+            seen = normalisation_for(frames, dark=config.dark, stretching=stretching)
+        return seen, [seen.shown(frame) for frame in frames]
+
+
+def _stretching(weights: Path) -> Stretching:
+    """What suits a network with these weights."""
+    return GENTLE if weights == MODELS[FOOTAGE] else FULL
 
 
 def _together(levels: Sequence[tuple[Sizes | None, Detector]]) -> Finder:
@@ -164,19 +195,19 @@ def _given(config: DetectorConfig, width: int, height: int) -> _Plan:
 
 
 def _chosen(
-    plan: _Plan, config: DetectorConfig, shown: Sequence[Frame], say: Say, engines: Engines
+    plan: _Plan, config: DetectorConfig, samples: _Samples, say: Say, engines: Engines
 ) -> _Plan:
     """A plan with what was left open as some frames of one size suggest it."""
-    height, width = shown[0].shape[:2]
+    height, width = samples.frames[0].shape[:2]
     if _chooses_model(config):
         default = Canvas.like(width, height, (plan.cfg.width, plan.cfg.height))
         own = plan.canvases[0][1] if plan.canvases else default
-        model, agreed = _chosen_model(config, own, shown, engines)
+        model, agreed = _chosen_model(config, own, samples, engines)
         cfg, weights = find_network(Path(model), size=config.size)
         settings: dict[str, Value] = {
             "model": model,
             "model_agreement": agreed,
-            "model_chosen_from": len(shown),
+            "model_chosen_from": len(samples.frames),
         }
         canvases = plan.canvases
         if model == SIMULATIONS:
@@ -188,12 +219,13 @@ def _chosen(
         plan = _Plan(cfg=cfg, weights=weights, canvases=canvases, settings=settings)
     if plan.canvases:
         return plan
+    _, shown = samples.as_seen(config, plan.weights)
     canvas, how = _chosen_canvas(config, plan.cfg, plan.weights, shown, say, engines)
     return replace(plan, canvases=[(None, canvas)], settings=plan.settings | how)
 
 
 def _chosen_model(
-    config: DetectorConfig, canvas: Canvas, shown: Sequence[Frame], engines: Engines
+    config: DetectorConfig, canvas: Canvas, samples: _Samples, engines: Engines
 ) -> tuple[str, float]:
     """The bundled model that suits some frames, and how well both agree on these."""
     found = []
@@ -207,6 +239,7 @@ def _chosen_model(
             canvas=canvas,
         )
         detector = choose_detector(network, config.backend, config.precision, engines=engines)
+        _, shown = samples.as_seen(config, weights)
         found.append([detector.detect([frame])[0] for frame in shown])
     agreed = agreement(*found)
     return SIMULATIONS if agreed >= MIN_AGREEMENT else FOOTAGE, agreed
@@ -242,6 +275,11 @@ def _chosen_canvas(
         "scale_chosen_from": len(samples),
         "scale_quality": [f"{s:.3g}: {quality:.2f}" for s, quality in choice.quality.items()],
     }
+    if not choice.quality:
+        say(
+            f"no droplet is clear in {len(samples)} of the frames: the network sees them at a "
+            f"scale of {own.scale:.2f}; another one: --scale or --diameter"
+        )
     if math.isclose(choice.scale, own.scale):
         return own, settings
     canvas = Canvas.of(width, height, choice.scale)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from droptrack.data.frames import Frame, grey_frame, grey_plane
-from droptrack.detection.normalisation import UNCHANGED, Normalisation, normalisation_for
+from droptrack.detection.normalisation import GENTLE, UNCHANGED, Normalisation, normalisation_for
 
 SIZE = (240, 320)
 
@@ -44,6 +44,18 @@ def test_faint_frames_get_most_of_the_range(background: int, shade: int) -> None
     assert 10 < low < 40  # SHOWN, less the noise
     assert 205 < high < 250
     assert (disc > around) == (shade > background)
+
+
+@pytest.mark.parametrize(("shade", "gain"), [(140, 4), (160, 1)])
+def test_a_network_that_knows_faint_frames_gets_them_little_stretched(
+    shade: int, gain: int
+) -> None:
+    """Discs of 20 levels get 80, in the middle of the range; discs of 40 stay as they are."""
+    frame = discs(120, shade)
+    shown = normalisation_for([frame], stretching=GENTLE).shown(frame)[..., 0].astype(float)
+    disc, around = shown[115:126, 35:46].mean(), np.median(shown)
+    assert disc - around == pytest.approx(gain * (shade - 120), abs=2)
+    assert (disc + around) / 2 == pytest.approx((shade + 120) / 2, abs=2)
 
 
 def test_all_frames_of_a_video_share_what_suits_some_of_them() -> None:

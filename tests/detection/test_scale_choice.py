@@ -68,6 +68,22 @@ def test_discs_of_any_size_get_a_scale_at_which_they_are_known(
     assert 0.3 * len(places) <= len(choice.diameters) <= len(places)
 
 
+def test_what_is_seen_at_one_scale_only_changes_nothing() -> None:
+    """Dust and noise of frames without droplets."""
+    frame = grey_frame(np.zeros((600, 1200), np.uint8))
+    choice = choose_scale([frame], Blobs(n_specks=1), default=0.8)  # type: ignore[arg-type]
+    assert (choice.scale, choice.quality, len(choice.diameters)) == (0.8, {}, 0)
+
+
+def test_clear_droplets_among_many_specks_still_get_a_scale() -> None:
+    """If half of the frames have some; none of the scales is good."""
+    frame, _ = discs(25, (900, 700))
+    empty = grey_frame(np.zeros((700, 900), np.uint8))
+    for frames, wanted in (([frame, empty], 0.8), ([frame, empty, empty], 3.2)):
+        choice = choose_scale(frames, Blobs(n_specks=60), default=3.2)  # type: ignore[arg-type]
+        assert choice.scale == pytest.approx(wanted)
+
+
 def test_small_things_in_droplets_are_no_droplets() -> None:
     """Dark discs with five bright cells each: the cells outnumber them, and are as clear."""
     frame, places = discs(80, (1000, 1000))

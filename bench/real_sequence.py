@@ -15,7 +15,7 @@ SEQUENCES = ("plug_sequence",)  # folders of numbered images, with NAME_truth.cs
 def score_sequence(folder: Path, weights: Path | None) -> dict[str, float]:
     """How the droplets of a folder of images are tracked, with the scale that the images suggest.
 
-    Only whole droplets have labels, and only frames that exist count: other rows count neither way.
+    Only whole droplets have labels, and only frames that exist count: `_counted`.
     """
     truth, _ = read_trajectories(folder.with_name(f"{folder.name}_truth.csv"))
     with tempfile.TemporaryDirectory() as out:
@@ -23,14 +23,28 @@ def score_sequence(folder: Path, weights: Path | None) -> dict[str, float]:
             folder, out=out, weights=weights, scale="auto", annotated_video=False, progress=False
         )
         found, settings = run.trajectories, run.report.settings
-    report = droptrack.evaluate(truth, _counted(found, folder))
+    report = droptrack.evaluate(truth, _counted(found, truth, folder))
     kept = ("n_positions", "n_missed", "n_false", "n_switches")
     scores = {key: float(str(report.summary[key])) for key in kept}
     return {"scale": float(str(settings["scale"])), **scores}
 
 
-def _counted(found: Trajectories, folder: Path) -> Trajectories:
-    """Rows of frames that exist, of droplets that no edge cuts."""
+def _counted(found: Trajectories, truth: Trajectories, folder: Path) -> Trajectories:
+    """Rows of frames that exist, less those of a track before and after it is on a labelled plug.
+
+    There the plug is cut by the field stop, or by the image's edge. Rows in between, and all of a
+    track that is on no plug, count.
+    """
     numbers = np.array([int(NUMBERS.split(path.stem)[-2]) for path in image_files(folder)])
-    whole = found.columns["at_edge"] != 1
-    return found[whole & np.isin(found.frame, numbers - numbers.min())]
+    exists = np.isin(found.frame, numbers - numbers.min())
+    on_plug = np.zeros(len(found.frame), bool)
+    for frame in np.unique(truth.frame):
+        rows, plugs = found.frame == frame, truth.frame == frame
+        apart = np.hypot(found.x[rows, None] - truth.x[plugs], found.y[rows, None] - truth.y[plugs])
+        on_plug[rows] = (apart <= truth.boxes[plugs, 2] / 2).any(axis=1)
+    counted = exists.copy()
+    for track in np.unique(found.track_id[on_plug]):
+        rows = found.track_id == track
+        first, last = np.flatnonzero(rows & on_plug)[[0, -1]]
+        counted[rows] &= np.isin(np.flatnonzero(rows), np.arange(first, last + 1))
+    return found[counted]

@@ -34,7 +34,7 @@ from droptrack.data.trajectories import TrajectoryWriter
 from droptrack.data.video import Video
 from droptrack.detection.detector import Detector, Engine
 from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
-from droptrack.detection.engines.opencv_dnn import OpenCvEngine
+from droptrack.detection.engines.opencv_dnn import OpenCvEngine, reads_darknet
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.network_scores import darknet_detector, one_by_one, score_detections
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS, find_cfg, find_network
@@ -68,6 +68,8 @@ console = Console(width=140)
 
 def plain_loop(video: Path, cfg: Cfg, weights: Path, n_frames: int) -> int:
     """The loop of a first attempt; returns the number of frames."""
+    if not reads_darknet():
+        raise DroptrackError(f"the plain loop needs OpenCV 4; this is {cv2.__version__}")
     network = cv2.dnn.readNetFromDarknet(str(cfg.path), str(weights))
     outputs = network.getUnconnectedOutLayersNames()
     capture = cv2.VideoCapture(str(video))

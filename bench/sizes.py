@@ -34,7 +34,8 @@ def main(images: int = 20, turns: int = 200) -> None:
         _print(f"packing, {gap} px apart", [_packing(gap, ring=False)])
         _print(f"packing of rings, {gap} px apart", [_packing(gap, ring=True)])
     for level in (20, 230):
-        _print(f"rings of {level} grey levels", [_rings(level)])
+        for width in (RING_PX, 2.0, 1.5, 1.0):
+            _print(f"rings of {level} grey levels, {width:g} px", [_rings(level, width)])
     for shape in (False, True):
         print(f"{DROPLETS} droplets, shape={shape}: {_milliseconds(turns, shape=shape):.2f} ms")
 
@@ -88,14 +89,14 @@ def _packing(gap: float, *, ring: bool) -> tuple[Canvas, Floats]:
     return canvas, drawn
 
 
-def _rings(level: int) -> tuple[Canvas, Floats]:
+def _rings(level: int, width: float) -> tuple[Canvas, Floats]:
     rng = np.random.default_rng(1)
     places = np.column_stack([np.arange(36) % 6 * 90 + 60, np.arange(36) // 6 * 90 + 60])
     r, stretch = rng.uniform(6, 25, 36), np.sqrt(rng.uniform(1, 2.33, 36))
     drawn = np.column_stack([places, r * stretch, r / stretch, rng.uniform(0, np.pi, 36)])
     canvas = np.full((600, 600), GROUND, np.uint8)
     draw_ellipses(canvas, drawn, level)
-    draw_ellipses(canvas, drawn - [0, 0, RING_PX, RING_PX, 0], INSIDE)
+    draw_ellipses(canvas, drawn - [0, 0, width, width, 0], INSIDE)
     return canvas, drawn
 
 

@@ -11,6 +11,7 @@ from data_gen.lattice_boltzmann.camera import Camera
 from data_gen.lattice_boltzmann.recording import Recording, record
 from data_gen.lattice_boltzmann.settings import Device
 from data_gen.videos.motion_kinds import Kind, Motion
+from data_gen.videos.motion_paths import PAIRS
 from data_gen.videos.motions import write_motion
 from data_gen.videos.sine import SineVideo, write_sine_video
 from droptrack.command_line import new_app, one_line_errors
@@ -161,7 +162,13 @@ def motions(
     out: Annotated[Path, typer.Option(help="Folder for detections.txt and truth.csv.")],
     kind: Annotated[Kind, typer.Option(help="What the droplets do.")] = Kind.vortices,
     speed: Annotated[float, typer.Option(min=0, help="Maximum, diameters per frame.")] = 0.3,
-    droplets: Annotated[int, typer.Option(min=1, help="Number of droplets in the image.")] = 300,
+    droplets: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Number of droplets in the image; default: 300; 200 if they coalesce or break up.",
+        ),
+    ] = None,
     diameter: Annotated[float, typer.Option(min=1, help="Diameter of a droplet, px.")] = 20.0,
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 100,
     missing: Annotated[
@@ -176,6 +183,7 @@ def motions(
     seed: Seed = 0,
 ) -> None:
     """Detections of droplets that are hard to track, without a video, and their ground truth."""
+    droplets = droplets or (200 if kind in PAIRS else 300)  # four an event
     motion = Motion(
         kind, speed=speed, droplets=droplets, diameter=diameter, frames=frames, missing=missing,
         false=false, jitter=jitter,

@@ -14,7 +14,7 @@ from data_gen.simulate import app as simulate
 from droptrack.data.trajectories import sorted_trajectories, write_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.detection import decoding
-from droptrack.measurement import centre_of_mass, outlines
+from droptrack.measurement import centre_of_mass, outlines, rays
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def arrays(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextManag
     @contextmanager
     def without_loops() -> Iterator[None]:
         with monkeypatch.context() as patch:
-            for module in (centre_of_mass, outlines, decoding):
+            for module in (centre_of_mass, outlines, rays, decoding):
                 patch.setattr(module, "load_loops", lambda: None)
             yield
 
@@ -43,6 +43,7 @@ def implementation(
         pytest.importorskip("numba")
         assert centre_of_mass.load_loops() is not None
         assert outlines.load_loops() is not None
+        assert rays.load_loops() is not None
         assert decoding.load_loops() is not None
         yield
 

@@ -34,7 +34,10 @@ def merging_pairs(
     cell = CELL * diameter
     columns, lines = int(size[0] / cell), int(size[1] / cell)
     if columns * lines < n:
-        raise DroptrackError(f"no room for {n} pairs; take fewer")
+        raise DroptrackError(
+            f"no room for {n} events of four droplets: at most {4 * columns * lines} --droplets, "
+            "or a smaller --diameter"
+        )
     t = np.arange(n_frames)
     paths, sizes, events = [], [], []
     for k in rng.permutation(columns * lines)[:n].tolist():

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -11,13 +12,16 @@ from droptrack.data.frames import Frame
 from droptrack.data.region import Region
 
 CORNER_PX = 5
-MIN_CORNERS = 3  # that are dark alike,
+MIN_CORNERS = 2  # that are dark alike,
 MAX_SPREAD = 8  # within so many grey levels,
 MIN_DARKER = 40  # and darker than the middle by so many
 MIN_DIAMETER = 0.8  # of the disc, in units of the image's shorter side: a droplet is smaller,
 MAX_RADIUS = 0.75  # and a straight wall has a larger radius, in units of its diagonal
-MAX_OFF, MAX_OFF_PX = 0.005, 0.7  # of the border from its circle, rms, in radii and px
-MAX_WRONG = 0.005  # share of the image that is dark in the disc, or bright outside
+N_TRIED = 16  # places on the border; each three of them tell a circle
+MAX_OFF, MAX_OFF_PX = 0.005, 0.7  # of the border from its circle, in radii and px
+MIN_ON = 0.6  # share of the border that is on its circle, and of the circle that is border,
+BESIDE_PX = 4  # so far from which it is bright inside and dark outside: walls are dark, too
+MAX_WRONG = 0.005  # share of the image that is bright outside of the disc
 
 
 @dataclass(frozen=True)
@@ -50,16 +54,17 @@ def find_field_stop(frames: Sequence[Frame]) -> FieldStop | None:
     dark = _dark_corners(brightest)
     if dark is None:
         return None
-    border = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    border[[0, -1]] = border[:, [0, -1]] = 0
-    rows, columns = np.nonzero(border)
-    if len(rows) < 4 * CORNER_PX:
+    places = _border(dark)
+    if len(places) < 4 * CORNER_PX:
         return None
-    x, y, radius, off = _circle(columns.astype(np.float64) + 0.5, rows.astype(np.float64) + 0.5)
-    if not (MIN_DIAMETER * min(height, width) / 2 < radius < MAX_RADIUS * np.hypot(height, width)):
+    radii = MIN_DIAMETER * min(height, width) / 2, MAX_RADIUS * float(np.hypot(height, width))
+    x, y, radius = _circle(places, radii)
+    if not radii[0] < radius < radii[1]:
         return None
     disc = np.hypot(*(np.ogrid[:height, :width][k] + 0.5 - (y, x)[k] for k in (0, 1))) < radius
-    if off > MAX_OFF * radius + MAX_OFF_PX or (disc == dark).mean() > MAX_WRONG:
+    bright_outside = (~disc & ~dark).mean()
+    on = _on(places, x, y, radius).mean()
+    if on < MIN_ON or bright_outside > MAX_WRONG or _share_of_edge(dark, x, y, radius) < MIN_ON:
         return None
     return FieldStop(x, y, radius, Region(np.asarray(disc)))
 
@@ -82,12 +87,64 @@ def _dark_corners(brightest: Pixels) -> Bools | None:
     return np.asarray(np.isin(parts, [one for one in of_corners if one]))
 
 
-def _circle(x: Floats, y: Floats) -> tuple[float, float, float, float]:
-    """Centre and radius of the circle through points (K,) (Kasa 1976), and how far they are off."""
-    middle = np.array([x.mean(), y.mean()])
-    u, v = x - middle[0], y - middle[1]
-    table = np.column_stack([2 * u, 2 * v, np.ones(len(u))])
-    (a, b, c), *_ = np.linalg.lstsq(table, u * u + v * v, rcond=None)
-    radius = float(np.sqrt(max(c + a * a + b * b, 0)))
-    off = np.hypot(u - a, v - b) - radius
-    return float(middle[0] + a), float(middle[1] + b), radius, float(np.sqrt((off**2).mean()))
+def _border(dark: Bools) -> Floats:
+    """Places (K, 2) px where the dark (H, W) ends, from each side of the image inwards."""
+    places = []
+    for turned, flipped in ((False, False), (False, True), (True, False), (True, True)):
+        lines = dark.T if turned else dark
+        lines = lines[:, ::-1] if flipped else lines
+        some = np.flatnonzero(lines[:, 0] & ~lines.all(axis=1))
+        depth = (~lines[some]).argmax(axis=1).astype(float)
+        depth = lines.shape[1] - depth if flipped else depth
+        both = (some + 0.5, depth) if turned else (depth, some + 0.5)
+        places.append(np.column_stack(both))
+    return np.concatenate(places)
+
+
+def _circle(places: Floats, limits: tuple[float, float]) -> tuple[float, float, float]:
+    """Centre and radius px of the circle that most of some places (K, 2) are on; zeros: none.
+
+    Of those through each three of N_TRIED of them, with a radius within limits, the one with the
+    most places; then by least squares (Kasa 1976) through the places on it.
+    """
+    tried = places[np.linspace(0, len(places) - 1, N_TRIED).astype(int)]
+    three = tried[np.array(list(combinations(range(N_TRIED), 3)))]  # (T, 3, 2)
+    first, sides = three[:, 0], three[:, 1:] - three[:, :1]
+    area = 2 * (sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    first, sides = (one[np.abs(area) > 1] for one in (first, sides))
+    if not len(first):
+        return 0.0, 0.0, 0.0
+    offsets = np.linalg.solve(2 * sides, (sides**2).sum(axis=2, keepdims=True))[..., 0]
+    found = np.column_stack([first + offsets, np.hypot(*offsets.T)])
+    found = found[(found[:, 2] > limits[0]) & (found[:, 2] < limits[1])]
+    if not len(found):
+        return 0.0, 0.0, 0.0
+    some = places[:: max(1, len(places) // 500)]
+    n_on = [_on(some, *circle).sum() for circle in found.tolist()]
+    x, y, radius = found[int(np.argmax(n_on))].tolist()
+    for _ in range(2):
+        u, v = (places[_on(places, x, y, radius)] - [x, y]).T
+        table = np.column_stack([2 * u, 2 * v, np.ones(len(u))])
+        (a, b, c), *_ = np.linalg.lstsq(table, u * u + v * v, rcond=None)
+        x, y, radius = x + float(a), y + float(b), float(np.sqrt(max(c + a * a + b * b, 0)))
+    return x, y, radius
+
+
+def _on(places: Floats, x: float, y: float, radius: float) -> Bools:
+    """Which places (K, 2) are on a circle."""
+    off = np.abs(np.hypot(*(places - [x, y]).T) - radius)
+    return np.asarray(off <= MAX_OFF * radius + MAX_OFF_PX)
+
+
+def _share_of_edge(dark: Bools, x: float, y: float, radius: float) -> float:
+    """The share of a circle, as far as it is in the image, that is bright inside, dark outside."""
+    angles = np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    inner, outer = (
+        np.floor([y + r * np.sin(angles), x + r * np.cos(angles)]).astype(int)
+        for r in (radius - BESIDE_PX, radius + BESIDE_PX)
+    )
+    limits = np.array(dark.shape)[:, None]
+    there = ((outer >= 0) & (outer < limits) & (inner >= 0) & (inner < limits)).all(axis=0)
+    if not there.any():
+        return 0.0
+    return float((dark[tuple(outer[:, there])] & ~dark[tuple(inner[:, there])]).mean())

@@ -7,9 +7,10 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.frames import Frame
 from droptrack.data.region import Region
-from droptrack.measurement import centre_of_mass, outlines
+from droptrack.measurement import centre_of_mass, outlines, rays
 from droptrack.measurement.centre_of_mass import centres_and_levels, grey_of, nearest_boxes
-from droptrack.measurement.outlines import DIRECTIONS, N_RAYS, Outlines, trace_outlines
+from droptrack.measurement.outlines import Outlines, trace_outlines
+from droptrack.measurement.rays import DIRECTIONS, N_RAYS
 from droptrack.measurement.shapes import (
     AT_EDGE,
     COLUMNS,
@@ -32,7 +33,8 @@ class Measured:
     centres (N, 2) px: of mass where `measured` (N,), else the box's, or of the whole droplet that
     the image cuts; boxes (N, 4): of the outline, else those given; shapes (N, len(COLUMNS)): by
     their names in COLUMNS, NaN where they were not measured, or (N, 0); outlines (N, N_RAYS, 2) px:
-    the places of the edges, where there are sizes, gaps bridged, else NaN, or (N, 0, 2).
+    the places of the edges, where there are sizes, gaps bridged, else NaN, or (N, 0, 2); rings
+    (N,): whether these are the outsides of rings.
     """
 
     centres: Floats
@@ -40,12 +42,14 @@ class Measured:
     boxes: Floats
     shapes: Floats
     outlines: Floats
+    rings: Bools
 
 
 def load_loops() -> None:
     """Load the compiled loops beforehand."""
     centre_of_mass.load_loops()
     outlines.load_loops()
+    rays.load_loops()
 
 
 def measure_droplets(
@@ -75,13 +79,14 @@ def measure_droplets(
             boxes=boxes,
             shapes=nothing[..., 0],
             outlines=nothing,
+            rings=np.zeros(len(boxes), bool),
         )
     traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes))
     traced = _its_own(traced, boxes, region)
     whole, good = whole_outlines(traced.radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)
-    edges = traced.origins[:, None] + whole[..., None] * DIRECTIONS
-    shapes[:, :OUTLINE_SEEN], middles, outline_boxes = measure_shapes(centres, whole)
+    quantities, middles, outline_boxes, edges = measure_shapes(centres, whole)
+    shapes[:, :OUTLINE_SEEN] = quantities
     another = good & ~_alike(outline_boxes, boxes)  # as the shell round a core
     shapes[another, :OUTLINE_SEEN] = np.nan
     good &= ~another
@@ -108,6 +113,7 @@ def measure_droplets(
         boxes=np.where(good[:, None], outline_boxes, boxes),
         shapes=shapes,
         outlines=np.where(good[:, None, None], edges, np.nan),
+        rings=good & traced.rings,
     )
 
 

@@ -17,17 +17,8 @@ import numpy as np
 
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Bools, Floats, Pixels, Rows
+from droptrack.measurement.rays import DIRECTIONS, FREE, IMAGE, N_RAYS, NEIGHBOUR, find_ends
 
-N_RAYS = 64
-ANGLES = np.arange(N_RAYS) * (2 * np.pi / N_RAYS)
-DIRECTIONS = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
-
-REACH = 1.2  # how far a ray goes, in units of the box's own side there,
-MARGIN_PX = 2.5  # and further
-INNER = 0.6  # an edge is looked for from here on, in the same units
-CORE = 0.75  # a ray ends in a neighbour, in units of its half sizes,
-BEYOND_PX = 1.0  # or, in search of a ring, behind the middle between the two boxes
-NESTED = 0.8  # a box's centre within so much of another box: it lies in that one, not beside it
 MIN_CONTRAST = 12.0  # grey levels of a ring
 RING_SHARE = 0.5  # of the difference of inside and outside that a ring goes beyond them, at least
 NOISE = 4.0  # by how many median deviations of what is around the highest of a ray is above it
@@ -45,14 +36,32 @@ SECOND = 0.5  # of the higher of a bright and a dark ring: the other counts if i
 MIN_FALL = 0.5  # of a ring's height by which a gap behind it must be below it, to be one
 LOOK_PX = 2  # how much further a gap before a neighbour is looked for, and how much less the ring
 MIN_WIDTHS = 0.125  # share of rays that must show both flanks of a ring, for its width
+# a ring thinner than two pixels is not as high in the image as it is: its width at half of its own
+# height, px, and by how much its outside flank there lies outside, px; measured of drawn rings with
+# widths of 0.4, 0.6, 0.9, 1.1, 1.4, 1.6, 1.9, 2.15, 2.5 and 2.75 px
+THIN = np.array(
+    [
+        [1.297, 1.343, 1.428, 1.526, 1.667, 1.787, 2.006, 2.195, 2.519, 2.759],
+        [0.470, 0.391, 0.281, 0.221, 0.135, 0.090, 0.047, 0.024, 0.004, 0.0],
+    ]
+)
 SETTINGS = (
-    *(REACH, MARGIN_PX, INNER, BEYOND_PX, NESTED, CORE, MIN_CONTRAST, RING_SHARE, NOISE),
-    *(MIN_FREE, MIN_FREE_FILLED, MIN_DEPTH, MIN_RISE, MIN_RISEN_RINGS, MIN_RISEN, BARE, MIN_PEAK),
+    *(
+        MIN_CONTRAST,
+        RING_SHARE,
+        NOISE,
+        MIN_FREE,
+        MIN_FREE_FILLED,
+        MIN_DEPTH,
+        MIN_RISE,
+        MIN_RISEN_RINGS,
+        MIN_RISEN,
+        BARE,
+        MIN_PEAK,
+    ),
     *(FIRST_PEAK, SECOND, MIN_FALL, float(LOOK_PX), MIN_WIDTHS),
 )
 SAMPLES_AT_ONCE = 2_000_000
-# what limits a ray
-FREE, IMAGE, NEIGHBOUR = 0, 1, 2
 UNSEEN, SEEN, CUT = 0, 1, 2
 
 
@@ -98,155 +107,102 @@ def trace_outlines(
     """
     n = len(boxes)
     radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
-    rings = np.zeros(n, np.uint8)
-    contiguous = [np.ascontiguousarray(one) for one in (boxes, origins, levels, neighbours)]
-    if min(grey.shape) > 1 and (loops := load_loops()) is not None:
-        loops.trace(grey, *contiguous, DIRECTIONS, loops.Settings(*SETTINGS), radii, states, rings)
-    elif min(grey.shape) > 1 and n:
-        radii, states, rings = _trace_all(grey, boxes, origins, levels, neighbours)
-    return Outlines(origins=origins, radii=radii, cut=states == CUT, rings=rings.astype(bool))
+    widths = np.full(n, np.nan)
+    if n and min(grey.shape) > 1:
+        ends, limits = find_ends((grey.shape[1], grey.shape[0]), boxes, origins, neighbours)
+        if (loops := load_loops()) is not None:
+            loops.trace(
+                *(grey, np.ascontiguousarray(origins), ends, limits),
+                *(np.ascontiguousarray(levels), DIRECTIONS, loops.Settings(*SETTINGS)),
+                *(radii, states, widths),
+            )
+        else:
+            radii, states, widths = _trace_all(grey, origins, ends, limits, levels)
+    return Outlines(
+        origins=origins,
+        radii=_of_thin_rings(radii, widths),
+        cut=states == CUT,
+        rings=np.isfinite(widths),
+    )
+
+
+def _of_thin_rings(radii: Floats, widths: Floats) -> Floats:
+    """Radii (N, K), further in by what thin rings seem to be too large; `widths` (N,) of rings.
+
+    Widths are along the rays, which are oblique to rings that are not round.
+    """
+    rows = np.flatnonzero((widths > 0) & (widths < 2 * THIN[0, -1]))
+    some = radii[rows]
+    slopes = (np.roll(some, -1, axis=1) - np.roll(some, 1, axis=1)) * (N_RAYS / 4 / np.pi)
+    cosines = some / np.hypot(some, slopes)
+    cosines[np.isnan(cosines)] = 1
+    excess = np.interp(widths[rows] * np.median(cosines, axis=1), *THIN)
+    radii[rows] -= excess[:, None] / cosines
+    return radii
 
 
 def _trace_all(
-    grey: Pixels, boxes: Floats, origins: Floats, levels: Rows, neighbours: Rows
-) -> tuple[Floats, Pixels, Pixels]:
-    """Radii, states (N, K) and rings (N,): first of droplets of which a part stands free.
+    grey: Pixels, origins: Floats, ends: Rows, limits: Rows, levels: Rows
+) -> tuple[Floats, Pixels, Floats]:
+    """Radii, states (N, K), rings' widths (N,): first of droplets of which a part stands free.
 
     Where most of these have rings, less is asked of the others.
     """
-    n = len(boxes)
+    n = len(origins)
     radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
-    rings = np.zeros(n, np.uint8)
-    first, lasts, limits = _ends(grey, boxes, np.arange(n), origins, neighbours)
-    free = ((lasts[1] > first) & (limits[1] == FREE)).sum(axis=1) >= MIN_FREE * N_RAYS
-    longest = REACH * np.hypot(boxes[:, 2], boxes[:, 3]) + MARGIN_PX
-    at_once = max(1, int(SAMPLES_AT_ONCE / 2 / N_RAYS / longest.max()))
+    widths = np.full(n, np.nan)
+    reached = (ends[..., 2] > ends[..., 0]) & (limits[..., 1] == FREE)
+    free = reached.sum(axis=1) >= MIN_FREE * N_RAYS
+    at_once = max(1, int(SAMPLES_AT_ONCE / 2 / N_RAYS / (ends.max() + LOOK_PX)))
     for turn in range(2):
+        rings = np.isfinite(widths)
         alike = 2 * int(rings.sum()) > int(free.sum())
-        some = np.flatnonzero(~free | (alike & (rings == 0)) if turn else free)
+        some = np.flatnonzero(~free | (alike & ~rings) if turn else free)
         for start in range(0, len(some), at_once):
             rows = some[start : start + at_once]
-            radii[rows], states[rows], rings[rows] = _trace(
-                *(grey, boxes, rows, origins[rows], levels[rows], neighbours[rows]),
+            radii[rows], states[rows], widths[rows] = _trace(
+                *(grey, origins[rows], ends[rows], limits[rows], levels[rows]),
                 min_risen=MIN_RISEN_RINGS if alike else MIN_RISEN,
             )
-    return radii, states, rings
+    return radii, states, widths
 
 
 def _trace(
-    grey: Pixels,
-    boxes: Floats,
-    rows: Rows,
-    origins: Floats,
-    levels: Rows,
-    neighbours: Rows,
-    *,
-    min_risen: float,
-) -> tuple[Floats, Pixels, Bools]:
-    """Radii, states (M, K) and rings (M,) of boxes `rows`."""
-    first, lasts, limits = _ends(grey, boxes, rows, origins, neighbours)
-    halves = np.arange(2 * (int(lasts.max(initial=0)) + LOOK_PX) + 2) / 2
+    grey: Pixels, origins: Floats, ends: Rows, limits: Rows, levels: Rows, *, min_risen: float
+) -> tuple[Floats, Pixels, Floats]:
+    """Radii, states (M, K) and rings' widths (M,) of some droplets; 0: unclear, NaN: no ring."""
+    first, last, limit = ends[..., 0], ends[..., 2], limits[..., 1]
+    halves = np.arange(2 * (int(ends.max(initial=0)) + LOOK_PX) + 2) / 2
     places = origins[:, None, None] + halves[:, None] * DIRECTIONS[:, None]
     levels_there = _levels_at(grey, places)
     profiles = levels_there[..., ::2]
-    rings, scales = _rings(profiles, first, lasts[1], limits[1], levels, min_risen)
-    last, limits = (np.where(rings[:, None], both[1], both[0]) for both in (lasts, limits))
+    rings, scales = _rings(profiles, first, last, limit, levels, min_risen)
+    last = np.where(rings[:, None], last, ends[..., 1])
+    limit = np.where(rings[:, None], limit, limits[..., 0])
     scales = np.where(rings[:, None], scales, levels[:, :2])
     signs = np.where(scales[:, 1] < 0, -1, 1)
     usable = (scales[:, 1] != 0)[:, None] & (last - first >= 2)
     first = np.where(rings[:, None], first * 2 // 3, first)  # a ring may lie a little further in
-    radii = np.full(first.shape, np.nan)
+    radii, widths = np.full(first.shape, np.nan), np.full(len(first), np.nan)
     for kind in (rings, ~rings):
         droplet, ray = np.nonzero(usable & kind[:, None])
         if not len(droplet):
             continue
         heights = signs[droplet, None] * levels_there[droplet, ray]
-        ends = first[droplet, ray], last[droplet, ray]
+        between = first[droplet, ray], last[droplet, ray]
         scale = (signs[:, None] * scales)[droplet]
         if kind is rings:
             flanks = np.full((2, *radii.shape), np.nan)
-            end = ends[1] + LOOK_PX * (limits[droplet, ray] == NEIGHBOUR)
+            end = between[1] + LOOK_PX * (limit[droplet, ray] == NEIGHBOUR)
             inside = signs[droplet] * levels[droplet, 2]
-            flanks[:, droplet, ray] = _ring_flanks(heights, *ends, end, scale, inside)
+            flanks[:, droplet, ray] = _ring_flanks(heights, *between, end, scale, inside)
             inner, outer = flanks[0, rings], flanks[1, rings]
-            radii[rings] = _with_shared(inner, outer, limits[rings] == IMAGE)
+            radii[rings], widths[rings] = _with_shared(inner, outer, limit[rings] == IMAGE)
         else:
-            radii[droplet, ray] = _filled_edges(heights, *ends, scale)
-    states = np.where(np.isfinite(radii), SEEN, np.where(limits == IMAGE, CUT, UNSEEN))
-    return radii, states.astype(np.uint8), rings
-
-
-def _ends(
-    grey: Pixels, boxes: Floats, rows: Rows, origins: Floats, neighbours: Rows
-) -> tuple[Rows, Rows, Rows]:
-    """Where an edge is looked for on each ray: from px (M, K) to px (2, M, K), and what limits it.
-
-    The second of the last px, and of what limits them, is for a ring's flank.
-    """
-    own = boxes[rows]
-    low, high = own[:, :2] - own[:, 2:] / 2, own[:, :2] + own[:, 2:] / 2
-    side = np.maximum(_to_sides(origins, low, high), 0)
-    ends = np.array([REACH * side + MARGIN_PX] * 2)
-    limits = np.full(ends.shape, FREE)
-    for other in neighbours.T:
-        there = boxes[other]
-        until = _until(own, there, origins) + np.array([0, BEYOND_PX])[:, None, None]
-        beside = (other >= 0) & _beside(own, there, origins)
-        nearer = beside[:, None] & (until < ends)
-        ends, limits = np.where(nearer, until, ends), np.where(nearer, NEIGHBOUR, limits)
-    border = _to_sides(origins, np.zeros(2), np.array(grey.shape[::-1], float))
-    outside = border < ends
-    ends = np.where(outside, np.maximum(border, 0), ends)
-    limits = np.where(outside, IMAGE, limits)
-    return (INNER * side).astype(np.int64), ends.astype(np.int64), limits
-
-
-def _to_sides(origins: Floats, low: Floats, high: Floats) -> Floats:
-    """How far it is on each ray (M, K) until it leaves a rectangle."""
-    low, high = (np.broadcast_to(one, origins.shape)[:, None] for one in (low, high))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ahead = np.where(DIRECTIONS > 0, high, low) - origins[:, None]
-        far = np.where(DIRECTIONS == 0, np.inf, ahead / DIRECTIONS)
-    return np.asarray(far.min(axis=2))
-
-
-def _beside(own: Floats, others: Floats, origins: Floats) -> Bools:
-    """Whether the second of two boxes (M, 4) is near, and neither of them lies within the other."""
-    area, others_area = own[:, 2] * own[:, 3], others[:, 2] * others[:, 3]
-    larger = np.where((others_area > area)[:, None], others, own)
-    nested = (np.abs(own[:, :2] - others[:, :2]) < NESTED * larger[:, 2:] / 2).all(axis=1)
-    nested &= np.minimum(area, others_area) < np.maximum(area, others_area) / 2
-    reach = REACH * own[:, 2:] + MARGIN_PX + others[:, 2:] / 2
-    return np.asarray((np.abs(others[:, :2] - origins) < reach).all(axis=1) & ~nested)
-
-
-def _until(own: Floats, others: Floats, origins: Floats) -> Floats:
-    """Where rays (2, M, K) reach another droplet's core, and where its box becomes the nearer one.
-
-    Distances are in units of half sizes; squared they are a r^2 + b r + c on the way.
-    """
-    squares = []
-    for boxes in (own, others):
-        scale = 2 / boxes[:, None, 2:]
-        at, step = (origins - boxes[:, :2])[:, None] * scale, DIRECTIONS * scale
-        squares.append(
-            np.array([(step**2).sum(2), 2 * (at * step).sum(2), (at**2 + 0 * step).sum(2)])
-        )
-    (own_a, own_b, own_c), (a, b, c) = squares
-    entry = np.where(c > CORE**2, _first_roots(a, b, c - CORE**2), np.inf)
-    half_way = np.where(own_c < c, _first_roots(own_a - a, own_b - b, own_c - c), np.inf)
-    return np.array([entry, half_way])
-
-
-def _first_roots(a: Floats, b: Floats, c: Floats) -> Floats:
-    """The smallest positive x with a x^2 + b x + c = 0, or infinity."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        straight = np.where(c * b < 0, -c / b, np.inf)
-        root = np.sqrt(b * b - 4 * a * c)
-        low, high = np.sort([(-b - root) / (2 * a), (-b + root) / (2 * a)], axis=0)
-        curved = np.where(low > 0, low, np.where(high > 0, high, np.inf))
-        curved = np.where(np.isnan(root), np.inf, curved)
-    return np.where(np.abs(a) < 1e-12, straight, curved)
+            radii[droplet, ray] = _filled_edges(heights, *between, scale)
+    states = np.where(np.isfinite(radii), SEEN, np.where(limit == IMAGE, CUT, UNSEEN))
+    widths[rings & np.isnan(widths)] = 0
+    return radii, states.astype(np.uint8), widths
 
 
 def _levels_at(grey: Pixels, places: Floats) -> Floats:
@@ -375,20 +331,19 @@ def _first_peak(heights: Floats, first: Rows, last: Rows, scales: Floats) -> tup
     return peak, -lowest
 
 
-def _with_shared(inner: Floats, outer: Floats, ends: Bools) -> Floats:
-    """Outside flanks (M, K) of rings, also where they run into what is beside them.
+def _with_shared(inner: Floats, outer: Floats, ends: Bools) -> tuple[Floats, Floats]:
+    """Outside flanks (M, K) of rings, also where they run into what is beside them; widths (M,).
 
     That is told from the inside flanks and the width of the same ring elsewhere; not where the
-    image `ends` (M, K).
+    image `ends` (M, K). Widths that are unclear are 0.
     """
     widths = outer - inner
     known = np.isfinite(widths)
-    enough = known.mean(axis=1) >= MIN_WIDTHS
-    width = np.full(len(inner), np.nan)
-    for m in np.flatnonzero(enough).tolist():
+    width = np.zeros(len(inner))
+    for m in np.flatnonzero(known.mean(axis=1) >= MIN_WIDTHS).tolist():
         width[m] = np.median(widths[m, known[m]])
-    shared = np.isnan(outer) & ~ends
-    return np.where(shared, inner + width[:, None], outer)
+    shared = np.isnan(outer) & ~ends & (width > 0)[:, None]
+    return np.where(shared, inner + width[:, None], outer), width
 
 
 def _inner_crossings(heights: Floats, first: Rows, peak: Rows, limit: Floats) -> Floats:

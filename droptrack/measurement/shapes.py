@@ -7,11 +7,17 @@ faster than any power for smooth outlines. Lengths in px.
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats
-from droptrack.measurement.outlines import DIRECTIONS, N_RAYS, Outlines
+from droptrack.measurement.outlines import Outlines
+from droptrack.measurement.rays import DIRECTIONS, N_RAYS
 
 COLUMNS = (
     *("area_px2", "diameter_px", "major_px", "minor_px", "angle_rad", "perimeter_px"),
     *("circularity", "deformation", "outline_seen", "at_edge"),
+)
+# what they are of, for the first lines of a table
+DEFINITION = (
+    "of the outline at half of the edge's height; of a ring, its outside; films between droplets "
+    "belong to none"
 )
 PRODUCTS = np.column_stack([DIRECTIONS**2, DIRECTIONS.prod(axis=1)])
 AREA, DIAMETER, OUTLINE_SEEN, AT_EDGE = map(
@@ -49,8 +55,10 @@ def whole_outlines(radii: Floats) -> tuple[Floats, Bools]:
     return whole, good
 
 
-def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floats]:
+def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Quantities (N, 8), the first of COLUMNS, of whole outlines; their centres and boxes (N, 4).
+
+    And the places (N, K, 2) of their edges.
 
     The axes are those of the ellipse with the outline's second moments of area, as in
     scikit-image's regionprops; `angle_rad` is that of the major axis, from x towards y, in
@@ -70,7 +78,7 @@ def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floa
     following = np.roll(radii, -1, axis=1)
     chords = np.sqrt(square + following**2 - (2 * np.cos(share)) * radii * following)
     perimeter = chords.sum(axis=1) * (share / 2 / np.sin(share / 2))  # exact of a circle
-    points = radii[..., None] * DIRECTIONS
+    points = np.stack([radii * DIRECTIONS[:, k] for k in range(2)], axis=2)
     columns = np.column_stack(
         [
             *(area, np.sqrt(4 / np.pi * area), major, minor, angle, perimeter),
@@ -79,7 +87,7 @@ def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floa
     )
     high, low = _extremes(points), -_extremes(-points)
     boxes = np.hstack([origins + (low + high) / 2, high - low])
-    return columns, origins + first, boxes
+    return columns, origins + first, boxes, origins[:, None] + points
 
 
 def _extremes(points: Floats) -> Floats:

@@ -23,6 +23,7 @@ from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
 from droptrack.detection.engine_choice import Engines
 from droptrack.detection.normalisation import UNCHANGED, normalisation_for
 from droptrack.errors import DroptrackError
+from droptrack.measurement.shapes import DEFINITION
 from droptrack.network.bundled import find_network
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.classes import Classes, classes_of
@@ -247,6 +248,7 @@ def _settings(config: ImagesConfig, detectors: Mapping[Size, OpenedDetector]) ->
         **opened.settings,
         "score": config.score,
         "max_iou": config.max_iou,
+        **({"sizes": DEFINITION} if config.shape else {}),
         "dark": config.dark,
         "grey_levels": "" if config.reading.levels is None else str(config.reading.levels),
         "region": config.region or "",

@@ -15,6 +15,8 @@ MANY = 0.5  # share of the tracks
 LONG = 20  # frames that a droplet needs to be called at rest
 STILL = 0.05  # of its diameter: as far as a droplet at rest may seem to go
 MOVING = 0.5  # of its diameter
+MIN_SIZES = 20
+FEW = 0.02  # share of sizes that may be of the other kind
 GRID = 0.9  # how alike places are within a network's cells, from 0 at random to 1
 
 
@@ -30,6 +32,17 @@ def doubts(paths: Collection[DropletPath], n_frames: int, cfg: Cfg, scale: float
         _regular_grid(np.array([path.start for path in seen]).reshape(-1, 2), cfg, scale),
     )
     return [doubt for doubt in found if doubt]
+
+
+def mixed_outlines(n_sizes: int, n_rings: int) -> list[str]:
+    """Whether sizes have two meanings: `n_rings` of them are those of rings, outside."""
+    if n_sizes < MIN_SIZES or not FEW * n_sizes < n_rings < (1 - FEW) * n_sizes:
+        return []
+    return [
+        f"{n_rings} of {n_sizes} sizes are those of rings, measured outside; the others are those "
+        "of what is unlike its surroundings, or lies between lines: diameters of both kinds differ "
+        "by the width of the rings; look at the outlines of --contours"
+    ]
 
 
 def _short_tracks(paths: Collection[DropletPath], n_frames: int) -> str:

@@ -87,7 +87,7 @@ class ImageResults:
         contours: ContourWriter | None,
     ) -> None:
         self._content, self._contours = content, contours
-        self._n_droplets = 0
+        self._n_droplets = self._n_rings = 0
         self._class_ids: list[int] = []  # of droplets that no edge cuts
         self.diameters: list[float] = []  # of droplets that no edge cuts, px
         self.diameters_um: list[float] = []  # of those of them whose pixels have a known size
@@ -118,6 +118,7 @@ class ImageResults:
         if self._contours is not None:
             self._contours.write(_contours(image, found, measured, order, self._n_droplets))
         self._n_droplets += len(found)
+        self._n_rings += int(measured.rings.sum())
         self.diameters += diameters.tolist()
         self._class_ids += found.class_ids[~cut].tolist()
         row: dict[str, Value] = {
@@ -158,6 +159,7 @@ class ImageResults:
             "n_droplets": self._n_droplets,
             "n_at_edge": sum(int(str(row["n_at_edge"])) for row in self._rows),
             **sizes,
+            **({"n_sizes_of_rings": self._n_rings} if self._content.shape else {}),
             **(classes.counts(self._class_ids) if classes else {}),
             "seconds": seconds,
         }

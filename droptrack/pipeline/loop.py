@@ -75,6 +75,8 @@ class FrameTracker:
         results.last_frame = index
         results.n_detections += len(detections)
         results.n_measured += int(found.measured.sum())
+        results.n_sizes += int(np.isfinite(found.outlines[:, :1, 0]).sum())
+        results.n_rings += int(found.rings.sum())
         results.slowest = max(results.slowest, perf_counter() - decoded)
         results.show(index, frame, session)
         results.write(final)

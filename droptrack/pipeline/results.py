@@ -50,6 +50,8 @@ class Results:
     n_dropped: int = 0  # frames of a live source that came while others were at work
     n_measured: int = 0  # detections whose centre of mass could be measured
     n_detections: int = 0
+    n_sizes: int = 0  # detections whose outline could be measured,
+    n_rings: int = 0  # and those of them whose outline is the outside of a ring
     slowest: float = 0.0  # seconds from decoding a frame to the end of its tracking
     paths: Paths = field(default_factory=Paths)
     gaps: list[Gap] = field(default_factory=list)  # that were bridged, once all is finished
@@ -142,6 +144,8 @@ def summarise(
         "velocity_is_ambiguous": bool(results.velocities),
         "n_detections": results.n_detections,
         "n_centres_of_mass_measured": results.n_measured,
+        "n_sizes_measured": results.n_sizes,
+        "n_sizes_of_rings": results.n_rings,
         "n_frames_missing": n_missing,
         "n_frames_dropped": results.n_dropped,
         "slowest_frame_s": results.slowest,

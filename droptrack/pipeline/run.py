@@ -23,13 +23,14 @@ from droptrack.detection.engine_choice import Engines
 from droptrack.errors import DroptrackError, InterruptedRunError, UnwritableError
 from droptrack.interrupts import whole
 from droptrack.measurement.shapes import COLUMNS as SHAPE
+from droptrack.measurement.shapes import DEFINITION
 from droptrack.network.darknet_cfg import cfg_text
 from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.classes import CLASS_ID, CLASS_NAME, Classes, ClassVotes, classes_of
 from droptrack.pipeline.config import TrackingConfig
 from droptrack.pipeline.contours import contour_log
 from droptrack.pipeline.detection_log import DetectionLog, size_of
-from droptrack.pipeline.doubts import doubts
+from droptrack.pipeline.doubts import doubts, mixed_outlines
 from droptrack.pipeline.drawing import Annotator
 from droptrack.pipeline.loop import track_frames
 from droptrack.pipeline.notes import Say, say_what_is_missing, say_what_is_unsure, to_stderr
@@ -152,6 +153,7 @@ def run(
     settings = {**about, **_settings(config, opened)}
     seconds = time.perf_counter() - began
     odd = doubts(results.paths.each(), results.n_frames, network, opened.network.scale)
+    odd += mixed_outlines(results.n_sizes, results.n_rings)
     odd += [opened.source.doubt] * bool(opened.source.doubt)
     report = summarise(results, settings, size, n_missing, seconds, odd)
     with whole():
@@ -228,6 +230,7 @@ def _about(config: TrackingConfig, opened: _Opened) -> dict[str, Value]:
         "network": f"{opened.network.cfg.path}, {opened.network.weights}",
         "weights sha256": sha256_of(opened.network.weights),
         "units": "px, pixel c covers [c, c + 1), y points down; frames count from 0",
+        **({"sizes": DEFINITION} if config.shape else {}),
         **opened.units(config).about(),
     }
 

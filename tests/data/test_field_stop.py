@@ -43,6 +43,16 @@ def test_the_circle_of_a_stop_is_found(x: float, y: float, radius: float) -> Non
     assert not stop.region.mask[0, 0]
 
 
+def test_a_stop_that_only_two_corners_show_is_found_beside_the_dark_walls_of_a_channel() -> None:
+    rng = np.random.default_rng(5)
+    canvas = background(rng)
+    canvas[90:110] = canvas[200:220] = 20
+    stop = find_field_stop([through_stop(canvas, 330, 165, 300)])
+    assert stop is not None
+    assert (stop.x, stop.y, stop.radius) == pytest.approx((330, 165, 300), abs=3)
+    assert not stop.region.mask[:, 0].any()
+
+
 def test_a_dark_background_is_no_field_stop() -> None:
     """All scenes; a packing of discs, a large one, a channel between dark walls, a window."""
     for kind in SCENES:

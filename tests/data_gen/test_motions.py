@@ -146,3 +146,18 @@ def test_too_many_droplets_are_refused(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["motions", *options])
     assert result.exit_code == 1
     assert "no room for 5000 droplets" in result.output
+
+
+@pytest.mark.parametrize("kind", ["merging", "splitting"])
+def test_without_a_number_there_are_fifty_events_of_four_droplets(
+    kind: str, tmp_path: Path
+) -> None:
+    result = CliRunner().invoke(app, ["motions", "--out", str(tmp_path), "--kind", kind])
+    assert result.exit_code == 0, result.output
+    truth, _ = read_trajectories(tmp_path / "truth.csv")
+    assert len(np.unique(truth.track_id)) == 200
+    result = CliRunner().invoke(
+        app, ["motions", "--out", str(tmp_path), "--kind", kind, "--droplets", "204"]
+    )
+    assert result.exit_code == 1
+    assert "at most 200 --droplets" in result.output

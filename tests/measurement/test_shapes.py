@@ -108,6 +108,24 @@ def test_the_edge_of_a_ring_is_its_outside(ring: int, inside: int) -> None:
     assert np.abs(found.centres[known] - drawn[known, :2]).max() < 0.25
 
 
+@pytest.mark.parametrize("width", [1.0, 1.3, 1.6, 2.0])
+@pytest.mark.parametrize(("ground", "ring", "inside"), [(120, 20, 125), (110, 230, 105)])
+def test_the_outside_of_a_ring_too_thin_to_be_as_dark_as_drawn_is_told_from_its_width(
+    width: float, ground: int, ring: int, inside: int
+) -> None:
+    """Half of its own height lies 0.04 px (2 px wide) to 0.27 px (1 px) too far outside."""
+    rng = np.random.default_rng(4)
+    drawn = ellipses(rng, 36, 2.33)
+    canvas = np.full((600, 600), ground, np.uint8)
+    draw_ellipses(canvas, drawn, ring)
+    draw_ellipses(canvas, drawn - [0, 0, width, width, 0], inside)
+    found = measure(canvas, shaken(rng, ellipse_boxes(drawn)))
+    error = column(found, "diameter_px") - diameters(drawn)
+    assert np.isfinite(error).sum() >= 34
+    assert np.sqrt(np.nanmean(error**2)) < 0.12
+    assert abs(np.nanmean(error)) < 0.05
+
+
 @pytest.mark.parametrize("kind", ["a", "b", "c"])
 def test_the_papers_scenes_are_measured_to_a_tenth_of_a_pixel(
     kind: str, monkeypatch: pytest.MonkeyPatch

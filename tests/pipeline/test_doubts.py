@@ -3,7 +3,7 @@
 import numpy as np
 
 from droptrack.network.bundled import find_network
-from droptrack.pipeline.doubts import doubts
+from droptrack.pipeline.doubts import doubts, mixed_outlines
 from droptrack.pipeline.paths import DropletPath
 
 CFG, _ = find_network()
@@ -56,3 +56,10 @@ def test_boxes_in_every_cell_of_the_network_are_doubted() -> None:
     assert doubt.startswith("droplets lie on a grid of 32 px")
     anywhere = 31 * cells + 11 + noise
     assert doubts([path(*place) for place in anywhere.tolist()], 100, CFG, 0.5) == []
+
+
+def test_sizes_of_two_kinds_are_doubted() -> None:
+    (doubt,) = mixed_outlines(200, 30)
+    assert doubt.startswith("30 of 200 sizes are those of rings, measured outside")
+    for n_sizes, n_rings in ((200, 0), (200, 200), (200, 3), (200, 197), (19, 9), (0, 0)):
+        assert mixed_outlines(n_sizes, n_rings) == []

@@ -57,7 +57,7 @@ def test_no_identity_is_switched_in_fast_uniform_flow(speed: float) -> None:
         ("missing 30%", 25, 0.97),
         ("false 20%", 3, 0.995),
         ("jitter 10%", 5, 0.995),
-        ("jitter 20%", 220, 0.86),
+        ("jitter 20%", 160, 0.89),
         ("pulsing", 0, 0.99),
         ("reversing", 8, 0.92),
         ("joining", 1, 0.98),

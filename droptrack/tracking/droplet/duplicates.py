@@ -5,6 +5,7 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import intersections
 from droptrack.tracking.droplet.matching import Matches
+from droptrack.tracking.droplet.noise import Noise
 from droptrack.tracking.droplet.parameters import DropletParameters
 from droptrack.tracking.droplet.tracks import Tracks
 from droptrack.tracking.nearest import nearest, tree_of
@@ -12,17 +13,21 @@ from droptrack.tracking.nearest import nearest, tree_of
 NEAREST = 4  # droplets on which a box may lie
 MIN_COVERED = 0.4  # share of the smaller of a box and a droplet, for the one to lie on the other
 MAX_HALVES_AREA = 1.5  # of two boxes of one droplet together, in areas of its box before
+MAX_NOISE = 0.08  # of boxes' centres, diameters; beyond, the boxes of neighbours lie on each other
 MAX_DUPLICATE_FRAMES = 15  # after which a duplicate is a droplet of its own
 
 
-def find_duplicates(tracks: Tracks, boxes: Floats, matches: Matches, p: DropletParameters) -> Rows:
+def find_duplicates(
+    tracks: Tracks, boxes: Floats, matches: Matches, noise: Noise, p: DropletParameters
+) -> Rows:
     """The track (F,) on whose droplet each free box of the frame's boxes (M, 4) lies, or 0.
 
     Either the box covers the place where a droplet is predicted, or it lies beside the box that a
-    droplet has and both are together no larger than it was: half a droplet.
+    droplet has and both are together no larger than it was: half a droplet. Where boxes are far
+    off, that tells nothing.
     """
     none = np.zeros(len(matches.free), np.int64)
-    if not len(none) or not p.duplicates:
+    if not len(none) or not p.duplicates or noise.centre > MAX_NOISE:
         return none
     droplets = np.flatnonzero(tracks.confirmed & (tracks.missed <= p.short_gap + 1))
     if not len(droplets):

@@ -189,7 +189,7 @@ class DropletTracker:
         tracks = predict(self.tracks, boxes, noise, flow, p, image=image, flow_known=flow_known)
         others = self._evidence_of_others(tracks, flow)
         matches = match(tracks, found, noise, self.false_boxes, others, p)
-        duplicate_of = find_duplicates(tracks, boxes, matches, p)
+        duplicate_of = find_duplicates(tracks, boxes, matches, noise, p)
         passages = _resumed(self.passages, tracks, matches)
         resumed = _after_gaps(tracks, found, matches, flow)
         flow = flow.surprised(_first_steps(tracks, found, matches))

@@ -148,7 +148,7 @@ def _deformation(figure: Figure, data: _Data) -> None:
 
 
 def _speed(figure: Figure, data: _Data) -> None:
-    unit = f"{data.length} / {data.time}" if data.time == "s" else f"{data.length} / frame"
+    unit = f"{data.length}/{data.time}"
     _against_time_and_place(figure, data, data.speed, f"speed / ({unit})")
 
 

@@ -24,6 +24,7 @@ from droptrack.training.pytorch.images import (
     TrainingImages,
     collate,
     quiet_worker,
+    share_by_files,
 )
 from droptrack.training.pytorch.optimisation import gradient_step, learning_rate, make_optimizer
 from droptrack.training.pytorch.settings import Job
@@ -108,7 +109,7 @@ class Learner:
     def __init__(self, job: Job, rank: int) -> None:
         settings = job.settings
         torch.manual_seed(settings.seed)
-        torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
+        share_by_files()
         self.job, self.rank = job, rank
         self.device = torch.device(settings.devices[rank])
         self.network = DarknetNetwork(job.cfg).to(self.device)
@@ -167,6 +168,8 @@ class Learner:
             num_workers=settings.workers,
             collate_fn=collate,
             worker_init_fn=quiet_worker,
+            # not forked: a fork of a process that has threads may wait for ever for their locks
+            multiprocessing_context="spawn" if settings.workers else None,
             pin_memory=self.device.type == "cuda",
             prefetch_factor=BATCHES_AHEAD if settings.workers else None,
         )

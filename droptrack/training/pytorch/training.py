@@ -1,6 +1,7 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
 import math
+import signal
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from torch.utils.data import DataLoader
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_weights import read_start
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
+from droptrack.processes import signals_held
 from droptrack.training.log import Step, TrainingLog, diverged, running_average
 from droptrack.training.pytorch.checkpoint import restore, save_checkpoint, save_weights
 from droptrack.training.pytorch.devices import mean_over_ranks, other_ranks
@@ -129,7 +131,9 @@ class Learner:
     def iterations(self) -> Iterator[Trained]:
         """Train to the end, one iteration after the other."""
         cfg, settings = self.job.cfg, self.job.settings
-        for iteration, batch in enumerate(self._batches(), start=self.first + 1):
+        with signals_held(signal.SIGINT, signal.SIGTERM):
+            batches = iter(self._batches())
+        for iteration, batch in enumerate(batches, start=self.first + 1):
             rate = learning_rate(iteration, cfg, settings)
             for group in self.optimizer.param_groups:
                 group["lr"] = rate

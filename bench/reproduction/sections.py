@@ -134,7 +134,7 @@ def networks(found: Results) -> Section:
         ("mAP@0.50 of YOLOv3-tiny on scenes a and b", "0.985", _maps(nets["tiny"])),
         ("mAP@0.50 of YOLOv3 on scene c", "0.99", _maps(nets["full"])),
         (
-            "mAP@0.50 of the bundled model, which all videos below are tracked with",
+            "mAP@0.50 of the bundled model, which the clean videos below are tracked with",
             "none",
             ", ".join(f"{scene} {score_text(value)}" for scene, value in bundled.items()),
         ),

@@ -281,7 +281,8 @@ def alternatives(found: Results) -> Section:
         text="The same videos, clean and degraded (out of focus, light that falls to half, half "
         "the contrast, noise), by other methods. Settings of thresholds, watershed and "
         "trackpy.locate are those of a few that find most on four frames by the ground truth: "
-        "more than a user can do. MOTA, IDF1 and HOTA by TrackEval.",
+        "more than a user can do. Which of its two bundled models droptrack takes, it chooses by "
+        "itself from some frames; the setting says which. MOTA, IDF1 and HOTA by TrackEval.",
         compared=[],
         command="make reproduce",
         word=_where_it_pays(methods),

@@ -12,7 +12,7 @@ import numpy as np
 
 import droptrack
 from bench.reproduction.folder import Reproduction, defined
-from bench.reproduction.simulations import Clip, clips
+from bench.reproduction.simulations import CASES, Clip, clips
 from bench.reproduction.tracking import OURS, result_folder
 from bench.track_scores import score
 from droptrack.data.trajectories import Trajectories, read_trajectories
@@ -74,19 +74,16 @@ def gates_of(ours: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
     `ours`: the scores of droptrack by the video's name.
     """
     gates = []
-    for flow, title in (("shear", "multi-core emulsion"), ("constriction", "dense emulsion")):
-        one = ours[flow]
+    for flow in ("shear", "constriction"):
+        one, title = ours[flow], CASES[flow]
         n = one["n_droplets"]
         gates += [
             _gate(f"{title}: found in every frame", one["n_droplets_found_in_every_frame"], "=", n),
             _gate(f"{title}: identity switches", one["n_switches"], "=", 0),
         ]
-    for flow, title, bound in (
-        ("shear", "multi-core emulsion", PAPER_BEST_MSE_PX2),
-        ("sine", "synthetic case", SINE_MSE_PX2),
-    ):
+    for flow, bound in (("shear", PAPER_BEST_MSE_PX2), ("sine", SINE_MSE_PX2)):
         worst = max(_number(droplet["mse_y_px2"]) for droplet in ours[flow]["droplets"])
-        gates.append(_gate(f"{title}: mean square error in y of the worst droplet, px²",
+        gates.append(_gate(f"{CASES[flow]}: mean square error in y of the worst droplet, px²",
                            worst, "<", bound))  # fmt: skip
     gates.append(_gate("dense emulsion: HOTA", ours["constriction"]["hota"], ">", MIN_HOTA))
     return gates

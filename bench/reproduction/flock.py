@@ -35,8 +35,10 @@ def analyse(of: Reproduction, say: Callable[[str], None]) -> dict[str, Any]:
     result = analyse_flock(table, FlockConfig(seed=of.settings.seed))
     folder = of.folder("flock")
     write_analysis(folder, "flock", result, table.units)
+    found["captions"] = {}
     for figure in result.figures:
         if figure.name in DRAWN:
+            found["captions"][figure.name] = figure.caption
             shown = in_units(figure, table.units)
             for suffix in ("png", "pdf"):
                 draw(folder / f"{figure.name}.{suffix}", shown, table.units)

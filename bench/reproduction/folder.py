@@ -76,14 +76,15 @@ def run_stages(
 
     Raises DroptrackError for a folder of another version or with other settings.
     """
-    claim(of)
     names = [stage.name for stage in stages]
+    if again_from is not None and again_from not in names:
+        raise DroptrackError(f"--stage {again_from}: should be one of {', '.join(names)}")
+    # all before the first stage: a file that is not there is said now, not in half an hour
+    needed = [[str(one) for one in stage.inputs(of.given)] for stage in stages]
+    claim(of)
     if again_from is not None:
-        if again_from not in names:
-            raise DroptrackError(f"--stage {again_from}: should be one of {', '.join(names)}")
         forget(of, names[names.index(again_from) :])
-    for i, stage in enumerate(stages):
-        inputs = [str(one) for one in stage.inputs(of.given)]
+    for i, (stage, inputs) in enumerate(zip(stages, needed, strict=True)):
         path = of.out / f"{stage.name}.json"
         if path.exists():
             if _inputs_of(path) == inputs:

@@ -1,7 +1,7 @@
 """The stage ``page``: figures, one static page without server or network, and results.json."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -40,13 +40,21 @@ def write_page(of: Reproduction, say: Callable[[str], None]) -> dict[str, Any]:
     draw_all(of, of.out / "figures")
     parts = sections_of(found)
     gates = stages["evaluation"]["gates"]
-    seconds = {name: json.loads(read_text(of.out / f"{name}.json"))["seconds"] for name in STAGES}
-    write_text(of.out / "index.html", page_of(found, parts, gates, seconds))
+    times = {name: json.loads(read_text(of.out / f"{name}.json")) for name in STAGES}
+    seconds, processor = (
+        {name: one[key] for name, one in times.items()} for key in ("seconds", "processor_seconds")
+    )
+    took = (
+        f"Took {_minutes(seconds)}; of processor time {_minutes(processor)}. A stage that was "
+        "interrupted counts from where it went on."
+    )
+    write_text(of.out / "index.html", page_of(found, parts, gates, took))
     content = {
         "made_by": f"droptrack {__version__}",
         "scale": of.settings.scale,
         "machine": stages["speed"]["machine"],
         "seconds": seconds,
+        "processor_seconds": processor,
         "must_reach": gates,
         "compared": {
             part.name: [
@@ -86,7 +94,7 @@ def page_of(
     found: Results,
     parts: Sequence[Section],
     gates: Sequence[dict[str, Any]],
-    seconds: dict[str, float],
+    took: str,
 ) -> str:
     """The page's HTML; figures are files beside it."""
     scale = found.settings.scale
@@ -101,7 +109,6 @@ def page_of(
         f'<li class="{"reached" if gate["reached"] else "missed"}">{escape(gate_line(gate))}</li>'
         for gate in gates
     )
-    times = ", ".join(f"{name} {value / 60:.1f} min" for name, value in seconds.items())
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>The paper, reproduced</title>
 <meta name="viewport" content="width=device-width"><style>{STYLE}</style></head><body>
@@ -115,9 +122,14 @@ YOLO works; they have no numbers.</p>
 <h2>What must be reached</h2><ul>{marks}</ul>
 <h2>Contents</h2><ul>{contents}</ul>
 {"".join(_section(part) for part in parts)}
-<section><p class="of">Took {escape(times)}.</p></section>
+<section><p class="of">{escape(took)}</p></section>
 </body></html>
 """
+
+
+def _minutes(seconds: Mapping[str, float]) -> str:
+    each = ", ".join(f"{name} {value / 60:.1f}" for name, value in seconds.items())
+    return f"{sum(seconds.values()) / 60:.0f} minutes ({each})"
 
 
 def _section(part: Section) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
@@ -20,6 +21,8 @@ from droptrack.evaluation.trajectory_scores import match
 STYLE: dict[Any, Any] = {"font.size": 9, "savefig.dpi": 150}
 BLUE = "#1f5fd0"  # of the paper's boxes
 COLOURS = mpl.colormaps["tab20"]
+MAX_DISTINCT = 20  # colours; more droplets share a rainbow
+ROOM = 0.07  # of an image's height, for a number above a box
 
 
 def save(folder: Path, name: str, figure: Figure) -> None:
@@ -91,11 +94,7 @@ def frames_with_boxes(images: Mapping[int, Frame], rows: Trajectories) -> Figure
         _boxes(one, mine.boxes)
         many = len(mine) > 12
         for track_id, box in zip(mine.track_id.tolist(), mine.boxes, strict=True):
-            x, y = (box[0], box[1]) if many else (box[0], box[1] - box[3] / 2 - 2)
-            one.text(
-                x, y, str(track_id), color=BLUE, fontsize=6 if many else 8, ha="center",
-                va="center" if many else "bottom", clip_on=True,
-            )  # fmt: skip
+            _number(one, track_id, box, None if many else ROOM * image.shape[0])
         one.set_title(f"({letter}) N = {number}", loc="left")
         one.set(xticks=[], yticks=[])
         _zoom(one, rows[np.isin(rows.frame, list(images))].boxes, image)
@@ -109,10 +108,14 @@ def paths(rows: Trajectories, size: tuple[int, int]) -> Figure:
     width, height = size
     figure, (axes,) = new(7.5, max(7.5 * height / width, 2.2) + 0.5, 1, 1)
     ids = np.unique(rows.track_id)
-    for k, track_id in enumerate(ids):
+    many = len(ids) > MAX_DISTINCT
+    colours = [
+        mpl.colormaps["turbo"](k / len(ids)) if many else COLOURS(k) for k in range(len(ids))
+    ]
+    for track_id, colour in zip(ids, colours, strict=True):
         mine = rows.track_id == track_id
-        axes.plot(rows.x[mine], rows.y[mine], "-", color=COLOURS(k % 20), linewidth=1)
-        axes.plot(rows.x[mine][:1], rows.y[mine][:1], ".", color=COLOURS(k % 20), markersize=4)
+        axes.plot(rows.x[mine], rows.y[mine], "-", color=colour, linewidth=1)
+        axes.plot(rows.x[mine][:1], rows.y[mine][:1], ".", color=colour, markersize=4)
     axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal")
     axes.set(xlabel="x / px", ylabel="y / px", title=f"{len(ids)} droplets")
     return figure
@@ -166,6 +169,21 @@ def methods(found: Mapping[str, Mapping[str, Mapping[str, Any]]], titles: Sequen
     axes.grid(axis="x", alpha=0.3)
     axes.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1, 1))
     return figure
+
+
+def _number(axes: Axes, track_id: int, box: Floats, room: float | None) -> None:
+    """A droplet's number above its box, or below where there is no room of so many px above.
+
+    In the box where `room` is None. With a white rim, to be read on white, black and lines.
+    """
+    cx, cy, _, h = box
+    y, at = cy, "center"
+    if room is not None:
+        y, at = (cy - h / 2 - 2, "bottom") if cy - h / 2 > room else (cy + h / 2 + 2, "top")
+    axes.text(
+        cx, y, str(track_id), color=BLUE, fontsize=6 if room is None else 8, ha="center", va=at,
+        clip_on=True, path_effects=[withStroke(linewidth=1.5, foreground="white")],
+    )  # fmt: skip
 
 
 def _zoom(axes: Axes, boxes: Floats, image: Frame) -> None:

@@ -20,13 +20,17 @@ def score_real(of: Reproduction, say: Callable[[str], None]) -> dict[str, Any]:
     if folder is None:
         return {}
     found: dict[str, Any] = {}
-    for name in SETS:
-        if (folder / name).is_dir():
-            say(f"real images: {name}")
-            found[name] = _of_set(folder, name)
-    if not found:
-        raise DroptrackError(f"--real {folder}: has none of the folders {', '.join(SETS)}")
+    for name in _sets_in(folder):
+        say(f"real images: {name}")
+        found[name] = _of_set(folder, name)
     return found
+
+
+def _sets_in(folder: Path) -> list[str]:
+    there = [name for name in SETS if (folder / name).is_dir()]
+    if not there:
+        raise DroptrackError(f"--real {folder}: has none of the folders {', '.join(SETS)}")
+    return there
 
 
 def _of_set(folder: Path, name: str) -> list[dict[str, Any]]:
@@ -45,5 +49,8 @@ def _of_set(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 def depends_on(given: Given) -> list[object]:
-    """What the stage depends on."""
-    return [given.real]
+    """What the stage depends on: the sets of images that are there.
+
+    Raises DroptrackError where a folder was named and has none.
+    """
+    return [] if given.real is None else [given.real, *_sets_in(given.real)]

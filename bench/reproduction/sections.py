@@ -9,6 +9,8 @@ from typing import Any
 
 from bench.reproduction.folder import defined
 from bench.reproduction.settings import Settings
+from bench.reproduction.simulations import CASES
+from bench.reproduction.tracking import OURS, PAPERS_WAY
 
 NOT_GIVEN = "not given"
 
@@ -65,6 +67,11 @@ class Results:
 
     def __getitem__(self, stage: str) -> Any:
         return self.stages[stage]
+
+    def scores(self, flow: str, method: str) -> Mapping[str, Any]:
+        """The scores of a method on the clean video of a flow."""
+        found: Mapping[str, Any] = self["evaluation"]["methods"][flow][method]
+        return found
 
 
 def number(value: object, digits: int = 3) -> str:
@@ -127,7 +134,7 @@ def networks(found: Results) -> Section:
         ("mAP@0.50 of YOLOv3-tiny on scenes a and b", "0.985", _maps(nets["tiny"])),
         ("mAP@0.50 of YOLOv3 on scene c", "0.99", _maps(nets["full"])),
         (
-            "mAP@0.50 of the bundled model, which all videos below are tracked with",
+            "mAP@0.50 of the bundled model, which the clean videos below are tracked with",
             "none",
             ", ".join(f"{scene} {score_text(value)}" for scene, value in bundled.items()),
         ),
@@ -256,13 +263,12 @@ def flows(found: Results) -> Section:
 def frames(found: Results, flow: str) -> Section:
     """Four sequential frames with boxes and identities (the paper's figures 7 and 9)."""
     dense = flow == "constriction"
-    title = "Dense emulsion" if dense else "Multi-core emulsion"
-    scores = found["evaluation"]["methods"][flow]["YOLO + DeepSORT, box centres"]
+    scores = found.scores(flow, PAPERS_WAY)
     n, every = scores["n_droplets"], scores["n_droplets_found_in_every_frame"]
     network = "the full YOLOv3" if dense else "YOLOv3-tiny"
     return Section(
         name=f"{flow}_frames",
-        title=f"{title}: four frames with boxes and identities",
+        title=f"{CASES[flow].capitalize()}: four frames with boxes and identities",
         of_paper="Figure 9" if dense else "Figure 7",
         text="Boxes of the bundled model, identities of DeepSORT.",
         compared=[
@@ -292,12 +298,12 @@ def _all(dense: bool) -> str:
 def paths(found: Results, flow: str) -> Section:
     """The trajectories (the paper's figures 8 and 10)."""
     dense = flow == "constriction"
-    scores = found["evaluation"]["methods"][flow]["droptrack"]
+    scores = found.scores(flow, OURS)
     n = scores["n_droplets"]
     differs = f"{n} droplets here, 49 in the paper. " if dense and n != 49 else ""
     return Section(
         name=f"{flow}_paths",
-        title=f"{'Dense' if dense else 'Multi-core'} emulsion: trajectories",
+        title=f"{CASES[flow].capitalize()}: trajectories",
         of_paper="Figure 10" if dense else "Figure 8",
         text="The centre of mass of each droplet over the whole video, tracked by droptrack with "
         "its defaults.",

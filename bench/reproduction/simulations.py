@@ -28,6 +28,11 @@ TITLES = {
     "shear": "cores in a sheared shell",
     "constriction": "dense emulsion through a constriction",
 }
+CASES = {  # as the paper's sections name them
+    "sine": "synthetic case",
+    "shear": "multi-core emulsion",
+    "constriction": "dense emulsion",
+}
 BLUR_PX, DARKEST, CONTRAST, BLACK, NOISE = 1.5, 0.5, 0.5, 20.0, 8.0  # of degraded videos
 
 

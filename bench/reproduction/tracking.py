@@ -140,9 +140,9 @@ def _by_droptrack(
         annotated_video=False, progress=False,
     )  # fmt: skip
     seconds = float(str(run.report.summary["seconds"]))
-    return Tracked(
-        rows=run.trajectories, seconds=seconds, setting=str(run.report.settings["backend"])
-    )
+    settings = run.report.settings
+    model = f"{settings['model']} model, " if "model" in settings else ""
+    return Tracked(rows=run.trajectories, seconds=seconds, setting=f"{model}{settings['backend']}")
 
 
 def _as_in_the_paper(clip: Clip, folder: Path) -> Tracked:

@@ -25,6 +25,7 @@ from droptrack.data.degradation import degrade
 from droptrack.data.files import write_text
 from droptrack.data.set_up import SUFFIX
 from droptrack.errors import DroptrackError
+from droptrack.processes import signals_held
 
 JPEG_QUALITY = 95
 
@@ -141,7 +142,8 @@ def make_dataset(folder: Path, recipe: Recipe, workers: int) -> Generator[int, N
             min(workers, len(chunks)), multiprocessing.get_context("spawn"), _begin_drawing
         )
         try:
-            written = [pool.submit(_write_chunk, (folder, recipe, chunk)) for chunk in chunks]
+            with signals_held(signal.SIGINT):
+                written = [pool.submit(_write_chunk, (folder, recipe, chunk)) for chunk in chunks]
             for one in as_completed(written):
                 done += one.result()
                 yield done

@@ -15,7 +15,12 @@ from droptrack.analysis.records import Figure as FigureRecord
 from droptrack.data.arrays import Rows
 from droptrack.data.units import Units
 
-STYLE: dict[Any, Any] = {"font.size": 9, "savefig.dpi": 150, "axes.spines.top": False}
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "savefig.dpi": 150,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 MAX_POINTS = 40_000  # of a cloud: more hide each other
 MAX_LEGEND = 12
 
@@ -72,7 +77,10 @@ def _curve(axes: Axes, curve: Curve, log: str, chance: Any) -> None:
     elif curve.style is Style.guide:
         axes.plot(x, y, color="tab:red", linewidth=1.0, label=curve.label)
     elif curve.style is Style.bars:
-        axes.bar(x, y, np.diff(x).min() if len(x) > 1 else 1.0, label=curve.label, alpha=0.7)
+        width = np.diff(x).min() if len(x) > 1 else 1.0
+        axes.bar(x, y, width, yerr=error, label=curve.label, alpha=0.7, ecolor="grey")
+    elif curve.style is Style.steps:
+        axes.step(x, y, ".-", where="post", linewidth=1.2, markersize=4, label=curve.label)
     elif curve.style is Style.points:
         axes.errorbar(x, y, error, fmt="o", markersize=3, linewidth=0.8, label=curve.label)
     else:

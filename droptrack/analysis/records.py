@@ -43,6 +43,7 @@ class Style(StrEnum):
 
     line = "line"
     points = "points"
+    steps = "steps"  # a count, which stays until the next event
     bars = "bars"
     null = "null"  # what chance gives: dashed and grey
     guide = "guide"  # for the eye: red

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from typer.testing import CliRunner
 from droptrack.__main__ import app
 from droptrack.analysis.flow.report import FlowConfig, analyse_flow
 from droptrack.analysis.flow.tails import fit_tail
-from droptrack.analysis.records import Quantity
+from droptrack.analysis.records import Chart, Quantity
 from droptrack.analysis.size.report import SizeConfig, analyse_size
 from droptrack.data.arrays import Floats
 from droptrack.data.formats.table import Table
@@ -148,6 +149,21 @@ def test_sizes_of_two_kinds_of_droplets() -> None:
     (spread,) = (one for one in one.quantities if one.stem == "polydispersity")
     assert math.isnan(spread.value)
     assert spread.reason == "one droplet has no spread of sizes"
+
+
+def test_deformation_is_taken_from_the_axes_where_only_these_are_known() -> None:
+    """3 to 1 and 1 to 1, as often; a chart of one curve says of what it is."""
+    rows = rows_of(np.repeat(np.arange(8.0).reshape(1, 4, 2) * 30, 2, axis=0))
+    major = np.where(rows.frame == 0, 15.0, 10.0)
+    axes = {"major_px": major, "minor_px": np.where(rows.frame == 0, 5.0, 10.0)}
+    found = analyse_size(Table(rows=replace(rows, columns=axes)), SizeConfig())
+    values = {one.stem: one.value for one in found.quantities}
+    assert values["deformation"] == pytest.approx((0.5 + 0) / 2)
+    labels = {one.name: one.y.label for one in found.figures if isinstance(one, Chart)}
+    assert labels["deformation_x"] == "deformation"
+    plain = analyse_size(Table(rows=rows), SizeConfig())
+    labels = {one.name: one.y.label for one in plain.figures if isinstance(one, Chart)}
+    assert labels["deformation_x"] == "Stretch of the boxes along x"
 
 
 def test_noise_of_the_measurement_is_told_from_differences() -> None:

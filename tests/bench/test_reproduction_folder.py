@@ -113,6 +113,24 @@ def test_weights_that_are_named_must_be_there(tmp_path: Path) -> None:
         existing(Given(full_weights=tmp_path / "none.weights"))
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--real", "none"], "--real none: has none of the folders foam, plugs"),
+        (["--full-weights", "none.weights"], "--full-weights none.weights: no such file"),
+        (["--stage", "figures"], "--stage figures: should be one of data_sets, networks"),
+    ],
+)
+def test_what_is_not_there_is_said_before_anything_is_made(
+    tmp_path: Path, options: list[str], said: str
+) -> None:
+    result = CliRunner().invoke(app, ["--out", str(tmp_path / "out"), *options])
+    assert result.exit_code == 1
+    assert said in result.output
+    assert len(result.output.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
 def scores(**changed: Any) -> dict[str, Any]:
     perfect = {"n_droplets": 4, "n_droplets_found_in_every_frame": 4, "n_switches": 0, "hota": 1.0}
     return perfect | {"droplets": [{"mse_y_px2": 1e-6}]} | changed

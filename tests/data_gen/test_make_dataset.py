@@ -162,3 +162,31 @@ def test_a_damaged_label_file_is_named(tmp_path: Path, line: str, problem: str) 
     (tmp_path / "train" / "000000.txt").write_text(line)
     with pytest.raises(DroptrackError, match=rf"000000\.txt.*{problem}"):
         read_ground_truth(tmp_path / "train" / "000000.jpg", 1200, 600)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be held here")
+def test_ctrl_c_while_processes_start_is_one_line(tmp_path: Path) -> None:
+    command = [
+        sys.executable, "-m", "data_gen.make_dataset", "--scene=a", "--images=700", "--valid=1",
+        f"--out={tmp_path / 'cut'}", "--workers=2",
+    ]  # fmt: skip
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as first:
+        while not any(map(imports_numpy, psutil.Process(first.pid).children())):
+            assert first.poll() is None
+            time.sleep(0.01)
+        os.killpg(first.pid, signal.SIGINT)  # long before it is ready to draw
+        said = first.communicate(timeout=120)[1]
+    assert "Traceback" not in said
+    assert "resumes it" in said
+
+
+def imports_numpy(process: psutil.Process) -> bool:
+    """Whether a process that is to draw has begun with its imports."""
+    try:
+        return "spawn_main" in " ".join(process.cmdline()) and any(
+            "numpy" in one.path for one in process.memory_maps()
+        )
+    except psutil.Error:  # it has ended
+        return False

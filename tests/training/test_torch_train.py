@@ -149,6 +149,38 @@ def test_a_job_ended_by_a_cluster_says_how_to_resume(data: DataSet, tmp_path: Pa
     assert "Traceback" not in said
 
 
+AFTER_THREADS = """
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from droptrack.data.darknet_dataset import read_data_file
+from droptrack.training.pytorch.training import train
+from tests.training.test_torch_train import job, settings
+
+if __name__ == "__main__":
+    cv2.setNumThreads(4)
+    cv2.GaussianBlur(np.zeros((2000, 2000, 3), np.uint8), (0, 0), 9)
+    data, out = map(Path, sys.argv[1:])
+    how = settings(workers=2, iterations=2)
+    print(sum(1 for _ in train(job(read_data_file(data), out, how))), "iterations")
+"""
+
+
+def test_it_trains_in_a_process_that_has_computed_in_threads(data: DataSet, tmp_path: Path) -> None:
+    """As where a network was evaluated before: threads hold locks that a fork never gets."""
+    script = tmp_path / "script.py"
+    script.write_text(AFTER_THREADS)
+    said = subprocess.run(
+        [sys.executable, script, data.train[0].parents[1] / "obj.data", tmp_path],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True, text=True, check=True, timeout=300,
+    ).stdout  # fmt: skip
+    assert said == "2 iterations\n"
+
+
 def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:
     """Without batch normalisation, whose statistics are those of what is computed together."""
     text = SMALL.read_text().replace("batch_normalize=1", "batch_normalize=0")

@@ -11,7 +11,7 @@ from droptrack.analysis.records import TIME, Axis, Chart, Curve, Style
 from droptrack.data.arrays import Floats
 from droptrack.tracking.events.passages import Passage, Stay
 
-MAX_SHOWN = 12  # droplets whose turns are drawn
+MAX_SHOWN = 10  # droplets whose turns are drawn, each in a colour of its own
 MAX_POINTS = 2000
 
 
@@ -24,7 +24,7 @@ def cumulative_chart(found: Sequence[Passage], span: tuple[int, int]) -> Chart:
     curves = []
     if len(frames):
         curves = [
-            Curve(label="passages", x=frames, y=net),
+            Curve(label="passages", x=frames, y=net, style=Style.steps),
             Curve(label="at a constant rate", x=ends, y=np.array([0.0, net[-1]]), style=Style.null),
         ]
     return Chart(
@@ -37,7 +37,7 @@ def cumulative_chart(found: Sequence[Passage], span: tuple[int, int]) -> Chart:
 
 
 def interval_chart(intervals: Floats) -> Chart:
-    """The share of intervals that are longer, with the fit of the tail."""
+    """The share of intervals that are at least so long, with the fit of the tail."""
     x = np.sort(intervals[intervals > 0])
     curves: list[Curve] = []
     if len(x):
@@ -58,14 +58,14 @@ def interval_chart(intervals: Floats) -> Chart:
         name="intervals",
         caption="Share of the intervals between passages that are at least so long.",
         x=Axis(label="interval", stem="interval", dimension=TIME),
-        y=Axis(label="share that is longer", stem="share"),
+        y=Axis(label="share at least so long", stem="share"),
         curves=curves,
         log="xy",
     )
 
 
 def residence_chart(found: Sequence[Stay]) -> Chart:
-    """The share of whole stays that are longer."""
+    """The share of whole stays that are at least so long."""
     x = np.sort([float(one.last_frame - one.first_frame + 1) for one in found if one.whole])
     curves = []
     if len(x):
@@ -75,7 +75,7 @@ def residence_chart(found: Sequence[Stay]) -> Chart:
         name="residence",
         caption="Share of the whole stays in the region that are at least so long.",
         x=Axis(label="residence", stem="residence", dimension=TIME),
-        y=Axis(label="share that is longer", stem="share"),
+        y=Axis(label="share at least so long", stem="share"),
         curves=curves,
     )
 

@@ -45,7 +45,7 @@ def analyse_size(table: Table, config: SizeConfig) -> Analysis:
     sizes = diameters(table)
     ids, medians = droplet_medians(table, sizes)
     paths = paths_of(table.rows, kept)
-    stretch, deformation = _stretch(table), table.column("deformation")
+    stretch, deformation = _stretch(table), _deformation(table)
     found, charts = _deformations(table, paths, stretch, deformation, rng)
     noise = _noise(table, sizes)
     return Analysis(
@@ -128,6 +128,17 @@ def _stretch(table: Table) -> Floats:
     return np.asarray(np.divide(w - h, w + h, out=np.full(len(w), np.nan), where=w + h > 0))
 
 
+def _deformation(table: Table) -> Floats | None:
+    """Taylor's deformation (M,), from the axes where it is not there, as in simulated truth."""
+    found = table.column("deformation")
+    major, minor = table.column("major_px"), table.column("minor_px")
+    if found is not None or major is None or minor is None:
+        return found
+    whole = major + minor
+    share = np.divide(major - minor, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+    return np.asarray(share)
+
+
 def _deformations(
     table: Table,
     paths: Paths,
@@ -175,7 +186,7 @@ def _deformations(
             name=f"deformation_{name}",
             caption=f"Deformation against {name}, means of all droplets, with standard errors.",
             x=Axis(label=name, stem=name, dimension=TIME if name == "time" else LENGTH),
-            y=Axis(label="deformation", stem="deformation"),
+            y=Axis(label=some[0].label if len(some) == 1 else "deformation", stem="deformation"),
             curves=some,
         )
         for name, some in curves.items()

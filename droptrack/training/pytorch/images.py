@@ -254,4 +254,10 @@ def collate(samples: Sequence[Sample]) -> tuple[Tensor, Tensor]:
 def quiet_worker(_: int) -> None:
     """Have one of the processes that prepare images compute in one thread."""
     leave_signals_to_the_first_process()
+    share_by_files()
     cv2.setNumThreads(1)
+
+
+def share_by_files() -> None:
+    """Have images go from process to process by files in memory: open files are few."""
+    torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]

@@ -1,6 +1,7 @@
 """Training without Darknet: a ``.cfg`` and a Darknet data set -> ``.weights``, with PyTorch."""
 
 import math
+import signal
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from torch.utils.data import DataLoader
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_weights import read_start
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
+from droptrack.processes import signals_held
 from droptrack.training.log import Step, TrainingLog, diverged, running_average
 from droptrack.training.pytorch.checkpoint import restore, save_checkpoint, save_weights
 from droptrack.training.pytorch.devices import mean_over_ranks, other_ranks
@@ -24,6 +26,7 @@ from droptrack.training.pytorch.images import (
     TrainingImages,
     collate,
     quiet_worker,
+    share_by_files,
 )
 from droptrack.training.pytorch.optimisation import gradient_step, learning_rate, make_optimizer
 from droptrack.training.pytorch.settings import Job
@@ -108,7 +111,7 @@ class Learner:
     def __init__(self, job: Job, rank: int) -> None:
         settings = job.settings
         torch.manual_seed(settings.seed)
-        torch.multiprocessing.set_sharing_strategy("file_system")  # type: ignore[no-untyped-call]
+        share_by_files()
         self.job, self.rank = job, rank
         self.device = torch.device(settings.devices[rank])
         self.network = DarknetNetwork(job.cfg).to(self.device)
@@ -128,7 +131,9 @@ class Learner:
     def iterations(self) -> Iterator[Trained]:
         """Train to the end, one iteration after the other."""
         cfg, settings = self.job.cfg, self.job.settings
-        for iteration, batch in enumerate(self._batches(), start=self.first + 1):
+        with signals_held(signal.SIGINT, signal.SIGTERM):
+            batches = iter(self._batches())
+        for iteration, batch in enumerate(batches, start=self.first + 1):
             rate = learning_rate(iteration, cfg, settings)
             for group in self.optimizer.param_groups:
                 group["lr"] = rate
@@ -169,6 +174,8 @@ class Learner:
             multiprocessing_context="spawn" if settings.workers else None,
             collate_fn=collate,
             worker_init_fn=quiet_worker,
+            # not forked: a fork of a process that has threads may wait for ever for their locks
+            multiprocessing_context="spawn" if settings.workers else None,
             pin_memory=self.device.type == "cuda",
             prefetch_factor=BATCHES_AHEAD if settings.workers else None,
         )

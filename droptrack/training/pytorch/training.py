@@ -174,8 +174,6 @@ class Learner:
             multiprocessing_context="spawn" if settings.workers else None,
             collate_fn=collate,
             worker_init_fn=quiet_worker,
-            # not forked: a fork of a process that has threads may wait for ever for their locks
-            multiprocessing_context="spawn" if settings.workers else None,
             pin_memory=self.device.type == "cuda",
             prefetch_factor=BATCHES_AHEAD if settings.workers else None,
         )

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 
 # Ctrl-C; what a cluster sends; what a terminal sends that closes
 ENDINGS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -74,3 +75,22 @@ def _print_nowhere() -> None:
         with suppress(OSError, ValueError):  # some streams are no files
             os.dup2(nowhere, stream.fileno())
     os.close(nowhere)
+
+
+@contextmanager
+def signals_held(*numbers: signal.Signals) -> Iterator[None]:
+    """Within, signals wait, and processes that are started hold them for good.
+
+    A process that is spawned imports for seconds; a Ctrl-C, which comes to all processes of a
+    terminal, would end it with a traceback. This process gets the signal when it leaves. Nothing
+    where the system cannot hold signals (Windows).
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    resource_tracker.ensure_running()  # else it lets the signals through when it is started
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -25,7 +25,7 @@ from droptrack.data.degradation import degrade
 from droptrack.data.files import write_text
 from droptrack.data.set_up import SUFFIX
 from droptrack.errors import DroptrackError
-from droptrack.processes import signals_held
+from droptrack.interrupts import signals_held
 
 JPEG_QUALITY = 95
 

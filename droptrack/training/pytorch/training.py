@@ -14,9 +14,9 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from droptrack.errors import DroptrackError
+from droptrack.interrupts import signals_held
 from droptrack.network.darknet_weights import read_start
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
-from droptrack.processes import signals_held
 from droptrack.training.log import Step, TrainingLog, diverged, running_average
 from droptrack.training.pytorch.checkpoint import restore, save_checkpoint, save_weights
 from droptrack.training.pytorch.devices import mean_over_ranks, other_ranks

@@ -19,6 +19,7 @@ import numpy as np
 import tifffile
 import typer
 
+from bench.soak_kills import killables, killed
 from bench.soak_videos import KINDS, damage, write_numbers, wrong_frame
 from droptrack.data.darknet_dataset import read_data_file, read_labels
 from droptrack.data.mot_files import open_detections
@@ -243,6 +244,18 @@ def killed_runs(rng: np.random.Generator, n: int, n_frames: int) -> Case:
     return case
 
 
+def killed_commands(rng: np.random.Generator, n: int) -> list[Case]:
+    """The commands that go on, or begin anew: each is killed, and ends with the same result."""
+    cases = []
+    with TemporaryDirectory() as folder:
+        for one in killables(Path(folder)):
+            cases.append(Case(f"kill -9 of {one.name}"))
+            (Path(folder) / one.name).mkdir()
+            for problem in killed(one, Path(folder) / one.name, rng, n):
+                cases[-1].count(problem)
+    return cases
+
+
 def _droplets(path: Path, n_frames: int) -> None:
     """Five discs that move on."""
     with VideoWriter(path, VideoInfo(320, 160, 25, n_frames), "MJPG") as video:
@@ -259,8 +272,9 @@ def main(
     seed: Annotated[int, typer.Option(help="Of everything that is at random.")] = 0,
     videos: Annotated[int, typer.Option(help="Damaged videos.")] = 200,
     seconds: Annotated[float, typer.Option(help="Of random bytes for each reader.")] = 40,
-    kills: Annotated[int, typer.Option(help="Times that a run is killed.")] = 50,
+    kills: Annotated[int, typer.Option(help="Times that a run of track is killed.")] = 50,
     frames: Annotated[int, typer.Option(help="Of the run that is killed.")] = 2000,
+    others: Annotated[int, typer.Option(help="Times that each other command is killed.")] = 10,
 ) -> None:
     """Damage files, feed readers with random bytes, kill runs; print what was lost."""
     faulthandler.enable()
@@ -274,6 +288,7 @@ def main(
             cases.append(fuzz(name, path, read, rng, seconds))
     if kills:
         cases.append(killed_runs(rng, kills, frames))
+    cases += killed_commands(rng, others) if others else []
     typer.echo(f"{'case':28} {'tried':>8} {'survived':>8}  lost")
     for case in cases:
         typer.echo(f"{case.name:28} {case.tried:8} {case.survived:8}  {case.lost or 'nothing'}")

@@ -133,3 +133,16 @@ def test_what_cameras_write_wrongly_of_whole_images_is_no_damage(grey: bool) -> 
         found = decode_jpeg(np.frombuffer(content, np.uint8), grey=grey)
         assert found is not None
         assert (found == cv2.imdecode(np.frombuffer(data, np.uint8), flags)).all()
+
+
+def test_an_image_whose_last_part_claims_more_than_there_is_is_damaged() -> None:
+    """Random bytes found it: an end that is added is no end then."""
+    data = bytearray(cv2.imencode(".jpg", np.zeros((64, 96), np.uint8))[1].tobytes())
+    place = data.find(b"\xff\xdb") + 2
+    data[place : place + 2] = b"\xff\xff"
+    for content in (data, data[: place + 40]):
+        array = np.frombuffer(bytes(content), np.uint8)
+        try:
+            assert decode_jpeg(array, grey=True) is None
+        except ValueError as error:
+            assert "JPEG" in str(error)  # noqa: PT017

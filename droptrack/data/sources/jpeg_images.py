@@ -28,7 +28,7 @@ def decode_jpeg(data: NDArray[np.uint8], *, grey: bool) -> Image | None:
     try:
         image = simplejpeg.decode_jpeg(content, space, strict=True)
     except ValueError as error:
-        if NO_END in str(error):
+        if NO_END in str(error) and not content.endswith(END):
             return decode_jpeg(np.frombuffer(content + END, np.uint8), grey=grey)
         if not is_harmless(str(error)):
             return None

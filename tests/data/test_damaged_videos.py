@@ -96,6 +96,15 @@ def test_lost_frames_that_nothing_tells_the_number_of_are_said(tmp_path: Path) -
     assert "frames may be missing" in video.doubt
 
 
+def test_frames_that_were_cut_off_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "v.avi"
+    data = film(path)
+    path.write_bytes(data[: chunks_of(data)[20]])
+    video = Video(str(path))
+    assert (video.info.n_frames, video.counted, video.doubt) == (N, True, "")
+    assert list(numbers_shown(video)) == list(range(20))
+
+
 def test_what_ffmpeg_may_leave_out_of_an_avi_is_said(tmp_path: Path) -> None:
     path = tmp_path / "v.avi"
     data = film(path, "mp4v")

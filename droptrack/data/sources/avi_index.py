@@ -33,12 +33,14 @@ N_TRIED = 200  # entries that are looked up to find where the index counts from
 class AviFrames:
     """Start and size (N, 2) of the first stream's frames; `doubt`: why their numbers may be wrong.
 
-    `n_odd`: frames whose chunks are damaged, which FFmpeg may leave out without a word.
+    `n_odd`: frames whose chunks are damaged, which FFmpeg may leave out without a word. `whole`:
+    False of a file that is cut off, whose head may claim more frames.
     """
 
     places: NDArray[np.int64]
     n_odd: int
     doubt: str = ""
+    whole: bool = True
 
 
 def avi_frames(path: Path) -> AviFrames | None:
@@ -248,7 +250,8 @@ def _numbered(chunks: list[tuple[bytes, int, int]], claimed: int) -> AviFrames |
         "missing there without their numbers, so that those of later ones are wrong; "
         "is there another copy of the file?"
     )
-    return AviFrames(np.array(frames, np.int64), len(gaps), "" if known else doubt)
+    places = np.array(frames, np.int64)
+    return AviFrames(places, len(gaps), "" if known else doubt, whole=bool(claimed))
 
 
 def _claimed(data: mmap.mmap) -> int:

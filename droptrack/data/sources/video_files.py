@@ -57,7 +57,8 @@ def open_video(path: Path, options: ReadOptions) -> Source:
     if images is not None:
         capture.release()
         if avi is not None:
-            n_frames, doubt = len(avi.places), avi.doubt
+            n_frames = len(avi.places) if avi.whole else max(n_frames, len(avi.places))
+            doubt = avi.doubt
     share = shown_share(path) if _begins_with(path, MPEG_4) else 1.0
     cut = (1 - share) * n_frames > 0.5  # by an edit list; where, FFmpeg knows
     return Source(

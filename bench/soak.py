@@ -19,6 +19,8 @@ import numpy as np
 import tifffile
 import typer
 
+from bench.soak_kills import killables, killed
+from bench.soak_videos import KINDS, damage, write_numbers, wrong_frame
 from droptrack.data.darknet_dataset import read_data_file, read_labels
 from droptrack.data.mot_files import open_detections
 from droptrack.data.trajectories import read_trajectories
@@ -28,8 +30,6 @@ from droptrack.network.darknet_cfg import parse_cfg, read_cfg
 from droptrack.network.darknet_weights import read_weights
 
 app = typer.Typer(add_completion=False)
-LEVEL = 4  # grey levels from one frame of a test video to the next
-N_FRAMES = 60
 MAX_S = 20.0  # of one reading: more is a hang
 MAX_GB = 6  # of memory: more is taken for unbounded
 CFG = Path(__file__).parents[1] / "darknet_cfg" / "yolov3-tiny.cfg"
@@ -68,61 +68,17 @@ class Case:
 
 
 def damaged_videos(rng: np.random.Generator, n: int) -> Case:
-    """Frames whose grey level is their number: each that is read should have its own."""
+    """Frames that show their number: each that is read should have its own."""
     case = Case("damaged videos")
     with TemporaryDirectory() as folder:
         for i in range(n):
-            name, fourcc = (("v.avi", "MJPG"), ("v.avi", "mp4v"), ("v.mp4", "mp4v"))[i % 3]
+            name, fourcc, alone = KINDS[i % len(KINDS)]
             path = Path(folder) / name
-            write_levels(path, fourcc)
+            write_numbers(path, fourcc)
             damage(path, rng)
-            case.count(wrong_frame(path, exact=fourcc == "MJPG"))
+            problem = wrong_frame(path, alone=alone)
+            case.count(problem and f"{name} {fourcc}, number {i}: {problem}")
     return case
-
-
-def write_levels(path: Path, fourcc: str) -> None:
-    """A video whose frame t has the grey level LEVEL t, with some structure."""
-    with VideoWriter(path, VideoInfo(96, 64, 25, N_FRAMES), fourcc) as video:
-        for t in range(N_FRAMES):
-            image = np.full((64, 96, 3), LEVEL * t, np.uint8)
-            image[40:] = np.arange(96, dtype=np.uint8)[None, :, None]
-            video.write(image)
-
-
-def damage(path: Path, rng: np.random.Generator) -> None:
-    """Cut a file off, overwrite a part of it, or flip some of its bytes."""
-    data = bytearray(path.read_bytes())
-    place = int(rng.integers(len(data)))
-    kind = rng.integers(4)
-    if kind == 0:
-        del data[place:]
-    elif kind == 1:
-        length = min(len(data) - place, int(rng.integers(1, 4000)))
-        data[place : place + length] = bytes(length)
-    elif kind == 2:
-        for one in rng.integers(0, len(data), int(rng.integers(1, 30))).tolist():
-            data[one] ^= 1 << int(rng.integers(8))
-    else:  # counts and sizes
-        head = min(len(data), 400)
-        place = int(rng.integers(head))
-        data[place : place + 4] = rng.bytes(4)
-    path.write_bytes(data)
-
-
-def wrong_frame(path: Path, *, exact: bool) -> str | None:
-    """What is wrong with a damaged video's frames; None where nothing is."""
-    try:
-        numbers = []
-        for number, frame in Video(str(path)).numbered():
-            numbers.append(number)
-            level = float(np.median(frame[:32, :, 0])) / LEVEL
-            if exact and abs(level - number) > 0.6 and 0 < number < N_FRAMES:
-                return f"frame {number} shows that of {level:.1f}"
-        return None if numbers == sorted(set(numbers)) else "frames out of order"
-    except DroptrackError:
-        return None
-    except Exception as error:  # noqa: BLE001  that is what is looked for
-        return f"{type(error).__name__}: {error}"
 
 
 def readers(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
@@ -152,8 +108,8 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[Path], object]]]:
     tifffile.imwrite(folder / "zip.tif", stack, compression="zlib", photometric="minisblack")
     cv2.imwrite(str(folder / "image.png"), stack[0])
     cv2.imwrite(str(folder / "image.jpg"), stack[0].astype(np.uint8))
-    write_levels(folder / "v.avi", "MJPG")
-    write_levels(folder / "v.mp4", "mp4v")
+    write_numbers(folder / "v.avi", "MJPG")
+    write_numbers(folder / "v.mp4", "mp4v")
     (folder / "v.mraw").write_bytes(stack.tobytes())
     (folder / "v.cih").write_text(
         "Total Frame : 3\nImage Width : 30\nImage Height : 20\nColor Bit : 16\n"
@@ -288,6 +244,18 @@ def killed_runs(rng: np.random.Generator, n: int, n_frames: int) -> Case:
     return case
 
 
+def killed_commands(rng: np.random.Generator, n: int) -> list[Case]:
+    """The commands that go on, or begin anew: each is killed, and ends with the same result."""
+    cases = []
+    with TemporaryDirectory() as folder:
+        for one in killables(Path(folder)):
+            cases.append(Case(f"kill -9 of {one.name}"))
+            (Path(folder) / one.name).mkdir()
+            for problem in killed(one, Path(folder) / one.name, rng, n):
+                cases[-1].count(problem)
+    return cases
+
+
 def _droplets(path: Path, n_frames: int) -> None:
     """Five discs that move on."""
     with VideoWriter(path, VideoInfo(320, 160, 25, n_frames), "MJPG") as video:
@@ -304,8 +272,9 @@ def main(
     seed: Annotated[int, typer.Option(help="Of everything that is at random.")] = 0,
     videos: Annotated[int, typer.Option(help="Damaged videos.")] = 200,
     seconds: Annotated[float, typer.Option(help="Of random bytes for each reader.")] = 40,
-    kills: Annotated[int, typer.Option(help="Times that a run is killed.")] = 50,
+    kills: Annotated[int, typer.Option(help="Times that a run of track is killed.")] = 50,
     frames: Annotated[int, typer.Option(help="Of the run that is killed.")] = 2000,
+    others: Annotated[int, typer.Option(help="Times that each other command is killed.")] = 10,
 ) -> None:
     """Damage files, feed readers with random bytes, kill runs; print what was lost."""
     faulthandler.enable()
@@ -319,6 +288,7 @@ def main(
             cases.append(fuzz(name, path, read, rng, seconds))
     if kills:
         cases.append(killed_runs(rng, kills, frames))
+    cases += killed_commands(rng, others) if others else []
     typer.echo(f"{'case':28} {'tried':>8} {'survived':>8}  lost")
     for case in cases:
         typer.echo(f"{case.name:28} {case.tried:8} {case.survived:8}  {case.lost or 'nothing'}")

@@ -26,7 +26,8 @@ from data_gen.lattice_boltzmann.camera import Camera, capture
 from data_gen.lattice_boltzmann.settings import Device, usable_device, use_threads
 from data_gen.lattice_boltzmann.simulation import AnySimulation, P, Simulation
 from droptrack.data.arrays import Floats, Rows
-from droptrack.data.files import replacing
+from droptrack.data.files import replacing, write_text
+from droptrack.data.sources.image_files import write_image_file
 from droptrack.data.trajectories import BOX_CENTRE, TrajectoryWriter, sorted_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.errors import DroptrackError
@@ -177,8 +178,7 @@ class SimulationRecorder:
                 f"{self.out}: holds a run already; give --resume or another folder"
             )
         self._frame(0).parent.mkdir(parents=True, exist_ok=True)
-        text = json.dumps(self._about, indent=2)
-        (self.out / "parameters.json").write_text(text + "\n", encoding="utf-8")
+        write_text(self.out / "parameters.json", json.dumps(self._about, indent=2) + "\n")
 
     def _ask_to_stop(self, *_: object) -> None:
         self._stop = True
@@ -225,7 +225,7 @@ class SimulationRecorder:
     def _record(self) -> dict[str, float]:
         """Keep a frame and what is known of it; returns what was checked."""
         index, camera = self.n_frames, self.recording.camera
-        write_png(self._frame(index), capture(self.simulation.shade(), camera, index))
+        write_image_file(self._frame(index), capture(self.simulation.shade(), camera, index))
         values = self.simulation.checks()
         self.check_names = list(values)
         rows = ground_truth_rows(self.simulation, index, camera.scale)
@@ -277,7 +277,10 @@ class SimulationRecorder:
 
     def _write_video(self) -> None:
         """The video, and its first, middle and last frame as images."""
-        with VideoWriter(self.out / "video.avi", self._video_info(), "MJPG") as video:
+        with (
+            replacing(self.out / "video.avi") as partial,
+            VideoWriter(partial, self._video_info(), "MJPG") as video,
+        ):
             for index in range(self.n_frames):
                 image = cv2.imread(str(self._frame(index)))
                 if image is None:
@@ -285,7 +288,8 @@ class SimulationRecorder:
                 video.write(np.asarray(image, np.uint8))
         places = (0, self.n_frames // 2, self.n_frames - 1)
         for name, index in zip(SNAPSHOTS, places, strict=True):
-            shutil.copyfile(self._frame(index), self.out / f"{name}.png")
+            with replacing(self.out / f"{name}.png") as partial:
+                partial.write_bytes(self._frame(index).read_bytes())
 
     def _write_ground_truth(self) -> None:
         info, recording = self._video_info(), self.recording
@@ -309,11 +313,17 @@ class SimulationRecorder:
             observed=ones.astype(bool),
         )  # rows are in order already
         extra = (*BOX_CENTRE, *AREA_AND_AXES)
-        with TrajectoryWriter(self.out / "truth.csv", about, extra) as writer:
+        with (
+            replacing(self.out / "truth.csv") as partial,
+            TrajectoryWriter(partial, about, extra) as writer,
+        ):
             writer.write(table, (rows[:, 4], rows[:, 5], *rows[:, 8:].T))
 
     def _write_checks(self) -> None:
-        with (self.out / "checks.csv").open("w", newline="", encoding="utf-8") as file:
+        with (
+            replacing(self.out / "checks.csv") as partial,
+            partial.open("w", newline="", encoding="utf-8") as file,
+        ):
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(["frame", "step", *self.check_names])
             writer.writerows(
@@ -360,11 +370,3 @@ def stopped_by_signals(handler: Callable[..., None]) -> Iterator[None]:
     finally:
         for number, old in before.items():
             signal.signal(number, old)
-
-
-def write_png(path: Path, image: Any) -> None:
-    """Write an image; raises OSError where cv2 would only return false."""
-    ok, data = cv2.imencode(".png", image)
-    if not ok:
-        raise DroptrackError(f"{path}: cannot be encoded")
-    path.write_bytes(data.tobytes())

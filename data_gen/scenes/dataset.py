@@ -24,6 +24,7 @@ from droptrack.data.darknet_dataset import image_name, label_text, write_data_fi
 from droptrack.data.degradation import degrade
 from droptrack.data.files import write_text
 from droptrack.data.set_up import SUFFIX
+from droptrack.data.sources.image_files import write_image_file
 from droptrack.errors import DroptrackError
 from droptrack.interrupts import signals_held
 
@@ -90,10 +91,9 @@ def write_image(folder: Path, recipe: Recipe, split: str, index: int) -> None:
     kinds = recipe.kinds()
     scene = DRAWINGS[kinds[index % len(kinds)]](rng)
     path = folder / image_name(split, index)
-    quality = [cv2.IMWRITE_JPEG_QUALITY, recipe.jpeg_quality]
     degraded = rng.random() < recipe.degraded
     image = degrade(scene.image, rng) if degraded else scene.image
-    path.write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
+    write_image_file(path, image, recipe.jpeg_quality)
     write_text(path.with_suffix(".txt"), label_text(scene.boxes, WIDTH, HEIGHT))
 
 

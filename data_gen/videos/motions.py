@@ -11,6 +11,7 @@ from data_gen.videos.motion_kinds import HEIGHT, WIDTH, Motion
 from data_gen.videos.motion_paths import events_of, move
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
+from droptrack.data.files import write_text
 from droptrack.data.mot_files import write_detections
 from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
 from droptrack.version import __version__
@@ -86,5 +87,5 @@ def write_motion(out: Path, motion: Motion, seed: int) -> int:
             for one in sorted(events, key=lambda one: one.frame)
         ]
         text = "frame,kind,parents,children,x,y\n" + "".join(lines)
-        (out / "events.csv").write_text(text, encoding="utf-8")
+        write_text(out / "events.csv", text)
     return len(np.unique(truth.track_id))

@@ -10,6 +10,7 @@ import numpy as np
 
 from data_gen.scenes.shapes import WHITE, draw_ellipses
 from droptrack.data.arrays import Floats
+from droptrack.data.files import replacing
 from droptrack.data.trajectories import Trajectories, sorted_trajectories, write_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.errors import DroptrackError
@@ -121,7 +122,11 @@ def write_sine_video(out: Path, settings: SineVideo) -> None:
         "units": "px; score 0 marks droplets cut off by the picture's edge",
     }
     info = VideoInfo(s.width, s.height, s.fps, s.frames)
-    with progress_bar("frames") as progress, VideoWriter(out / "video.avi", info, "MJPG") as video:
+    with (
+        progress_bar("frames") as progress,
+        replacing(out / "video.avi") as partial,
+        VideoWriter(partial, info, "MJPG") as video,
+    ):
         for t in progress.track(range(s.frames), description="sine", total=s.frames):
             canvas = np.zeros((s.height, s.width), np.uint8)
             discs = np.column_stack([paths[:, t], radii, radii, np.zeros(len(radii))])

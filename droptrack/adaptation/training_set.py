@@ -14,6 +14,7 @@ from droptrack.adaptation.trust import Seen
 from droptrack.data.arrays import Floats, Pixels
 from droptrack.data.darknet_dataset import image_name, label_text, write_data_file, write_scenes
 from droptrack.data.files import write_text
+from droptrack.data.sources.image_files import write_image_file
 from droptrack.detection.scale import Canvas
 from droptrack.training.config import DrawImage
 
@@ -69,8 +70,7 @@ def write_training_set(folder: Path, ingredients: Ingredients, seed: int) -> Ite
             if kind != "known":
                 image = _extended(image, ingredients.canvas)
             name = image_name(split, number)
-            quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
-            (folder / name).write_bytes(cv2.imencode(".jpg", image, quality)[1].tobytes())
+            write_image_file(folder / name, image, JPEG_QUALITY)
             height, width = image.shape[:2]
             text = label_text(boxes, width, height)
             write_text((folder / name).with_suffix(".txt"), text)

@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 from droptrack.analysis.records import Chart, Cloud, Curve, Snapshot, Style
 from droptrack.analysis.records import Figure as FigureRecord
 from droptrack.data.arrays import Rows
+from droptrack.data.files import replacing
 from droptrack.data.units import Units
 
 STYLE: dict[Any, Any] = {
@@ -38,7 +39,8 @@ def draw(path: Path, figure: FigureRecord, units: Units) -> None:
             width, height = figure.size
             canvas.set_size_inches(7.5, max(7.5 * height / width, 2.5) + 0.3)
             _snapshot(canvas, axes, figure, units)
-        canvas.savefig(path)
+        with replacing(path) as partial:
+            canvas.savefig(partial)
 
 
 def _chart(axes: Axes, chart: Chart) -> None:

@@ -35,9 +35,8 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise UnwritableError(
-            f"{path}: cannot be written: {error.strerror or error}", error.errno
-        ) from None
+        reason = os.strerror(error.errno) if error.errno else error
+        raise UnwritableError(f"{path}: cannot be written: {reason}", error.errno) from None
     except BaseException:
         partial.unlink(missing_ok=True)
         raise

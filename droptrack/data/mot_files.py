@@ -18,7 +18,7 @@ import numpy as np
 
 from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.detections import Detections, labels
-from droptrack.data.files import read_text, reading
+from droptrack.data.files import read_text, reading, write_text
 from droptrack.errors import DroptrackError
 
 N_COLUMNS = 7
@@ -35,7 +35,7 @@ def write_detections(path: Path, frames: Sequence[Detections]) -> None:
         for number, frame in enumerate(frames, 1)
         for box, score in zip(frame.boxes, frame.scores, strict=True)
     ]
-    path.write_text("".join(row + "\n" for row in rows), encoding="utf-8")
+    write_text(path, "".join(row + "\n" for row in rows))
 
 
 @dataclass(frozen=True)

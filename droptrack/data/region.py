@@ -11,6 +11,7 @@ from droptrack.data.arrays import Bools, Floats
 from droptrack.errors import DroptrackError
 
 POINT = r"\s*(-?\d+(?:\.\d+)?)\s*,\s*(-?\d+(?:\.\d+)?)\s*"
+MAX_PX = 1e7  # that a corner may lie beyond the frame
 POLYGON = re.compile(rf"(?:{POINT})(?:[\s;]{POINT})*")
 
 
@@ -56,6 +57,8 @@ def _polygon_mask(text: str, width: int, height: int) -> Bools:
     corners = np.array([[float(x), float(y)] for x, y in re.findall(POINT, text)], np.float32)
     if len(corners) < 3:
         raise DroptrackError(f"--region {text}: a polygon has at least three corners, x,y x,y x,y")
+    if np.abs(corners).max() > MAX_PX:
+        raise DroptrackError(f"--region {text}: a corner is too far away, more than {MAX_PX:g} px")
     mask = np.zeros((height, width), np.uint8)
     # a pixel's centre is at c + 0.5, OpenCV counts centres from 0; in sixteenths of a pixel
     points = np.round((corners - 0.5) * 16).astype(np.int32)
@@ -68,7 +71,10 @@ def _read_mask(path: Path, width: int, height: int) -> Bools:
         raise DroptrackError(
             f"--region {path}: is neither a polygon, such as '0,0 200,0 200,90', nor an image file"
         )
-    image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
+    try:
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
+    except cv2.error:  # of an empty file, or one that claims too many pixels
+        image = None
     if image is None:
         raise DroptrackError(f"--region {path}: cannot be decoded as an image")
     if image.shape != (height, width):

@@ -320,7 +320,8 @@ def _columns(path: Path, header: tuple[str, ...], rows: Iterable[str]) -> dict[s
     """The columns of a table by their names; raises ValueError where there are others."""
     kinds = ["U1" if name in TEXT else "f8" for name in header]
     lines = iter(rows)
-    first = next(lines, "")
+    no_row = ("#",) if "U1" not in kinds else ()  # as np.loadtxt has it below
+    first = next((one for one in lines if one.strip() and not one.strip().startswith(no_row)), "")
     if not first:
         return {name: np.zeros(0, kind) for name, kind in zip(header, kinds, strict=True)}
     lines = itertools.chain([first], lines)

@@ -86,7 +86,7 @@ def units_of(about: Mapping[str, str]) -> Units:
                 values[key] = float(about[key])
             except ValueError:
                 raise DroptrackError(f"# {key}: {about[key]}: should be a number") from None
-    rate = re.search(r"([\d.]+) frames/s", about.get("video", ""))
+    rate = re.search(r"(?<![\d.])(\d+(?:\.\d*)?|\.\d+) frames/s", about.get("video", ""))
     if values[FPS] is None and rate and float(rate[1]) > 0:
         values[FPS] = float(rate[1])
     return Units(um_per_px=values[UM_PER_PX], fps=values[FPS])

@@ -82,6 +82,7 @@ class Video:
         self.pixel_size_um = opened.pixel_size_um
         self.notes = opened.notes
         self._times = opened.times
+        self._doubt = opened.doubt
         self._samples = opened.samples
 
     def samples(self) -> list[Frame]:
@@ -98,8 +99,8 @@ class Video:
 
     @property
     def doubt(self) -> str:
-        """What the frames so far make one doubt: that they come at a steady rate; else empty."""
-        return self._times.doubt() if self._times is not None else ""
+        """What makes one doubt the numbers of frames, or that they come at a steady rate."""
+        return self._doubt or (self._times.doubt() if self._times is not None else "")
 
     @property
     def n_lost(self) -> int:

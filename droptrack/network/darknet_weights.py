@@ -123,8 +123,5 @@ def weights_bytes(weights: Weights) -> bytes:
 
 def write_weights(path: Path, weights: Weights) -> None:
     """Write a ``.weights`` file, whole or not at all."""
-    try:
-        with replacing(path) as partial:
-            partial.write_bytes(weights_bytes(weights))
-    except OSError as error:
-        raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
+    with replacing(path) as partial:
+        partial.write_bytes(weights_bytes(weights))

@@ -7,7 +7,6 @@ import onnx
 from onnx import TensorProto, helper
 
 from droptrack.data.files import replacing
-from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, YoloHead, yolo_heads
 from droptrack.network.darknet_weights import Weights
 from droptrack.network.onnx_graph import Graph
@@ -74,11 +73,8 @@ def export_onnx(path: Path, cfg: Cfg, weights: Weights, *, decode: bool = False)
     """
     model = onnx_model(cfg, weights, decode=decode)
     onnx.checker.check_model(model, full_check=True)
-    try:
-        with replacing(path) as partial:
-            partial.write_bytes(model.SerializeToString())
-    except OSError as error:
-        raise DroptrackError(f"{path}: cannot be written: {error.strerror}") from None
+    with replacing(path) as partial:
+        partial.write_bytes(model.SerializeToString())
     return [output.name for output in model.graph.output]
 
 

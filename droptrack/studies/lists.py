@@ -44,7 +44,12 @@ def read_list(path: Path, options: VideoOptions) -> list[Entry]:
     lines = read_text(path).splitlines()
     head = next((line for line in lines if line.strip()), "")
     separator = max(",;\t", key=head.count)
-    rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator, strict=True))
+    try:
+        rows = list(csv.reader(io.StringIO("\n".join(lines)), delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise DroptrackError(
+            f"{path}: cannot be read as a table: {error}; is a quote left open?"
+        ) from None
     numbered = [(n, [cell.strip() for cell in row]) for n, row in enumerate(rows, 1) if any(row)]
     if not numbered:
         raise DroptrackError(f"{path}: is empty")

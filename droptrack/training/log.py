@@ -14,8 +14,8 @@ from types import TracebackType
 
 import numpy as np
 
-from droptrack.data.files import write_text
-from droptrack.errors import DroptrackError
+from droptrack.data.files import read_text, write_text
+from droptrack.errors import DroptrackError, UnwritableError
 from droptrack.version import __version__
 
 REDRAW_SECONDS = 30.0
@@ -84,8 +84,16 @@ class TrainingLog:
         self._draw()
 
     def append(self, step: Step) -> None:
-        """Write a row; every REDRAW_SECONDS, draw training.png again."""
-        self._file.write(_row(step))
+        """Write a row, whole or not; every REDRAW_SECONDS, draw training.png again."""
+        data = _row(step).encode()
+        try:
+            n_written = self._file.write(data) or 0
+            if n_written < len(data):
+                n_written += self._file.write(data[n_written:]) or 0
+        except OSError as error:
+            raise UnwritableError(
+                f"{self.path}: cannot be written: {error.strerror}", error.errno
+            ) from None
         self._remember(step)
         if time.monotonic() - self._drawn > REDRAW_SECONDS:
             self._draw()
@@ -110,7 +118,7 @@ class TrainingLog:
 
     def _rewrite(self, steps: list[Step]) -> None:
         _write_rows(self.path, steps)
-        self._file = self.path.open("a", encoding="ascii", buffering=1)
+        self._file = self.path.open("ab", buffering=0)
         self.mean_aps, self.average_loss = [], math.nan
         for step in steps:
             self._remember(step)
@@ -128,21 +136,24 @@ class TrainingLog:
 
 
 def read_log(path: Path) -> list[Step]:
-    """The rows of a training.csv; none where there is no file. Raises DroptrackError."""
+    """The rows of a training.csv; none where there is no file. Raises DroptrackError.
+
+    A last row without its end is one that a kill or a full disk cut off: it is left out.
+    """
     if not path.exists():
         return []
     names = [field.name for field in fields(Step)]
     steps = []
-    with path.open(encoding="ascii", newline="") as file:
-        rows = csv.reader(file)
-        if next(rows, None) != names:
-            raise DroptrackError(f"{path}: is of another program or version; choose another --out")
-        for number, row in enumerate(rows, start=2):
-            try:
-                values = {f.name: f.type(v) for f, v in zip(fields(Step), row, strict=True)}  # type: ignore[operator]
-                steps.append(Step(**values))
-            except ValueError:
-                raise DroptrackError(f"{path}:{number}: cannot be understood: {row}") from None
+    whole = read_text(path).rpartition("\n")[0]
+    rows = csv.reader(whole.splitlines())
+    if next(rows, None) != names:
+        raise DroptrackError(f"{path}: is of another program or version; choose another --out")
+    for number, row in enumerate(rows, start=2):
+        try:
+            values = {f.name: f.type(v) for f, v in zip(fields(Step), row, strict=True)}  # type: ignore[operator]
+            steps.append(Step(**values))
+        except ValueError:
+            raise DroptrackError(f"{path}:{number}: cannot be understood: {row}") from None
     return steps
 
 

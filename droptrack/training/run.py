@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from droptrack.data.darknet_dataset import DataSet, read_data_file
+from droptrack.data.files import write_text
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.network_scores import mean_average_precision
 from droptrack.network.darknet_cfg import Cfg, cfg_text, read_cfg, with_options
@@ -182,7 +183,7 @@ def make_run_folder(out: Path, network: Cfg, *, resume: bool) -> Cfg:
         raise DroptrackError(f"{out}: does not exist; start without --resume")
     out.mkdir(parents=True, exist_ok=True)
     path = out / network.path.name
-    path.write_text(cfg_text(network), encoding="utf-8")
+    write_text(path, cfg_text(network))
     return read_cfg(path)
 
 

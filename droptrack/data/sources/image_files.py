@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.files import replacing
+from droptrack.data.sources.jpeg_images import is_damaged
 from droptrack.data.sources.opencv_names import without_log
 from droptrack.data.sources.source import Image
 from droptrack.errors import DroptrackError
@@ -16,6 +17,7 @@ TIFF_SUFFIXES = {".tif", ".tiff", ".btf", ".tf8"}
 IMAGE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", *TIFF_SUFFIXES}
 NUMBERS = re.compile(r"(\d+)", re.ASCII)
 MAX_PIXELS = 2**28  # of one image; a few bytes can claim any number, and take minutes
+JPEG = b"\xff\xd8\xff"  # first bytes
 PLAIN_PNM = (b"P1", b"P2", b"P3")  # first bytes of images in text
 ORIENTED = (b"Exif\0\0", b"eXIf", b"EXIF")  # in JPEG, PNG, WebP: the file may say how it is turned
 
@@ -52,6 +54,8 @@ def decode_image(path: Path) -> Image | None:
         content += b"\n"  # without which OpenCV takes the last number for cut off
     data = np.frombuffer(content, np.uint8)
     if not len(data) or _png_pixels(data) > MAX_PIXELS:
+        return None
+    if content.startswith(JPEG) and is_damaged(data):  # of which OpenCV would fill a part with grey
         return None
     if (n := _n_animated(content)) > 1:
         raise DroptrackError(

@@ -39,7 +39,8 @@ class Source:
     missing, as in a numbered sequence with holes. `samples`: reads images from all over it, where
     they can be had at once; else None. `bits`: of the grey levels, 0 where the file does not say.
     `fps` and `pixel_size_um`: 0 where it does not say. `notes`: what a user might not expect.
-    `times`: those of the frames so far, where the file has them.
+    `times`: those of the frames so far, where the file has them. `doubt`: why the numbers of frames
+    may be wrong; empty where they are not in doubt.
     """
 
     n_frames: int
@@ -52,6 +53,7 @@ class Source:
     pixel_size_um: float = 0.0
     notes: tuple[str, ...] = ()
     times: FrameTimes | None = None
+    doubt: str = ""
 
 
 def spread(n: int) -> list[int]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, count
+from itertools import chain, count, islice
 from pathlib import Path
 
 import cv2
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from droptrack.data.frames import Frame, as_frame, grey_frame, grey_plane
-from droptrack.data.sources.avi_index import avi_frames, read_frames
+from droptrack.data.sources.avi_index import AviFrames, avi_frames, read_frames
 from droptrack.data.sources.frame_times import FrameTimes
+from droptrack.data.sources.jpeg_images import decode_jpeg
 from droptrack.data.sources.mp4_edits import shown_share
 from droptrack.data.sources.opencv_names import opencv_name, without_log
 from droptrack.data.sources.source import Image, ReadOptions, Source, refuse_channel
@@ -28,6 +29,11 @@ COUNTING = ((0, b"RIFF"), *MPEG_4)
 # FFmpeg's codes of pixels of 8 bits whose luma lies alone; of 10, 12 and so on, the last byte
 PLANAR = (b"I420", b"IYUV", b"YV12", b"422P", b"Y42B", b"444P")
 MORE_BITS = b"Y3"
+OUT_OF_STEP = (
+    "what says where {n} of its frames begin is damaged: FFmpeg may have left them out, so that "
+    "later ones have too small a number; is there another copy of the file?"
+)
+N_LOOKED_AT = 20  # frames for one that is whole, before a codec is taken for another
 MIN_ALIKE = 0.5  # correlation of a frame's luma with what the codec gave, if it was converted
 MIN_SPREAD = 3  # standard deviation of grey levels, to tell that
 
@@ -41,13 +47,18 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         capture = open_capture(name, str(path))
         fps = float(capture.get(cv2.CAP_PROP_FPS))
         times = FrameTimes(fps if math.isfinite(fps) and fps > 0 else 0.0)
-        images = _read_jpegs(path, name, capture, times)
+        avi = avi_frames(path)
+        images = _read_jpegs(path, name, capture, times, avi)
         if images is None and int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == GREY_16:
             capture.release()
             capture = open_capture(name, str(path), [cv2.CAP_PROP_CONVERT_RGB, 0])
     n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+    doubt = avi.doubt or OUT_OF_STEP.format(n=avi.n_odd) * bool(avi.n_odd) if avi else ""
     if images is not None:
         capture.release()
+        if avi is not None:
+            n_frames = len(avi.places) if avi.whole else max(n_frames, len(avi.places))
+            doubt = avi.doubt
     share = shown_share(path) if _begins_with(path, MPEG_4) else 1.0
     cut = (1 - share) * n_frames > 0.5  # by an edit list; where, FFmpeg knows
     return Source(
@@ -56,6 +67,7 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         counted=_begins_with(path, COUNTING) and not cut,
         fps=fps,
         times=times,
+        doubt=doubt,
     )
 
 
@@ -165,28 +177,33 @@ def _begins_with(path: Path, marks: Sequence[tuple[int, bytes]]) -> bool:
 
 
 def _read_jpegs(
-    path: Path, name: str, capture: cv2.VideoCapture, times: FrameTimes
+    path: Path, name: str, capture: cv2.VideoCapture, times: FrameTimes, avi: AviFrames | None
 ) -> Iterator[tuple[int, Image]] | None:
     """Frames of a Motion JPEG or PNG file; None for other files, and for other forms of it.
 
-    OpenCV decodes a JPEG image in less time than FFmpeg, a grey one in half of it, and tells when
-    one is damaged; of PNG it keeps all 16 bits. What is to be turned is left to FFmpeg.
+    A JPEG image is decoded in less time than by FFmpeg, a grey one in half of it, and one that is
+    damaged is known; of PNG all 16 bits are kept. What is to be turned is left to FFmpeg.
     """
     code = (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little")
     turned = capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360
     is_png = code.upper() in {b"MPNG", b"PNG "}
     if not (is_png or code.upper() in {b"MJPG", b"JPEG"}) or turned:
         return None
-    packets = _packets(name, times)
-    first = next(packets, None)
-    image = None if first is None else _decode(first, cv2.IMREAD_COLOR)
-    size = [capture.get(side) for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)]
-    if first is None or image is None or list(image.shape[:2]) != size:  # half a frame, maybe
-        return None
-    if is_png:
-        return _decoded_png(chain([first], packets))
-    frames = avi_frames(path, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-    return _decoded(chain([first], packets) if frames is None else read_frames(path, frames))
+    packets = _packets(name, times) if avi is None else read_frames(path, avi)
+    decode = _decode_png if is_png else _decode_bgr
+    height, width = (
+        int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
+    )
+    ahead = []
+    for packet in islice(packets, N_LOOKED_AT):
+        ahead.append(packet)
+        image = decode(packet)
+        if image is not None:
+            if image.shape[:2] != (height, width):  # half a frame, maybe
+                return None
+            every = chain(ahead, packets)
+            return _decoded_png(every) if is_png else _decoded(every, (height, width))
+    return None
 
 
 def _packets(name: str, times: FrameTimes) -> Iterator[NDArray[np.uint8]]:
@@ -203,36 +220,45 @@ def _packets(name: str, times: FrameTimes) -> Iterator[NDArray[np.uint8]]:
         capture.release()
 
 
-def _decode(packet: NDArray[np.uint8], flags: int) -> Image | None:
-    """An image file's image; None of one that is damaged."""
+def _decode_png(packet: NDArray[np.uint8]) -> Image | None:
+    """A PNG image with all its bits; None of one that is damaged."""
     with without_log():
-        image = cv2.imdecode(packet, flags) if len(packet) else None
+        image = cv2.imdecode(packet, cv2.IMREAD_UNCHANGED) if len(packet) else None
     return None if image is None else np.asarray(image)
 
 
+def _decode_bgr(packet: NDArray[np.uint8], *, grey: bool = False) -> Image | None:
+    """A JPEG image; None of one that is damaged."""
+    try:
+        return decode_jpeg(packet, grey=grey)
+    except ValueError:
+        return None
+
+
 def _decoded_png(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Image]]:
-    """The frames of PNG images, with all their bits."""
+    """The frames of PNG images."""
     for index, packet in enumerate(packets):
-        image = _decode(packet, cv2.IMREAD_UNCHANGED)
+        image = _decode_png(packet)
         if image is not None:
             yield index, image
 
 
-def _decoded(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Frame]]:
+def _decoded(
+    packets: Iterable[NDArray[np.uint8]], size: tuple[int, int]
+) -> Iterator[tuple[int, Frame]]:
     """The frames of JPEG images, grey until one has a colour that an eighth of its size shows.
 
-    Only some are looked at for that, since it takes as long as decoding them.
+    Only some are looked at for that, since it takes as long as decoding them. One of another size
+    than the file's is damaged.
     """
-    as_it_is = cv2.IMREAD_IGNORE_ORIENTATION  # the container says how a video is turned
     maybe_grey = True
     for index, packet in enumerate(packets):
-        if maybe_grey and index % LOOK_FOR_COLOUR == 0:
-            reduced = cv2.IMREAD_REDUCED_COLOR_8 | as_it_is
-            small = cv2.imdecode(packet, reduced) if len(packet) else None
+        if maybe_grey and index % LOOK_FOR_COLOUR == 0 and len(packet):
+            with without_log():
+                small = cv2.imdecode(packet, cv2.IMREAD_REDUCED_COLOR_8)
             maybe_grey = small is None or without_colour(as_frame(small)) is not None
-        colours = cv2.IMREAD_GRAYSCALE if maybe_grey else cv2.IMREAD_COLOR
-        image = cv2.imdecode(packet, colours | as_it_is) if len(packet) else None
-        if image is not None:
+        image = _decode_bgr(packet, grey=maybe_grey)
+        if image is not None and image.shape[:2] == size:
             yield index, as_frame(image)
 
 

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from droptrack.data.arrays import Bools, Floats, Rows
+from droptrack.data.files import replacing
 from droptrack.data.trajectories import TEXT, Trajectories
 from droptrack.data.units import Units
 from droptrack.errors import DroptrackError
@@ -94,7 +95,8 @@ def draw_plots(
             figure = Figure(figsize=(6.4, 3.2), layout="constrained")
             drawers[plot](figure, data)
             for suffix in (".pdf", ".png"):
-                figure.savefig(folder / f"{plot}{suffix}")
+                with replacing(folder / f"{plot}{suffix}") as partial:
+                    figure.savefig(partial)
 
 
 def _data(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from droptrack.data.darknet_dataset import DataSet
+from droptrack.data.files import write_text
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.network.darknet_weights import read_weights
@@ -88,10 +89,10 @@ def write_data_files(
 
     Darknet drops the spaces of a data file's lines, so the names in it have none.
     """
-    (folder / "obj.names").write_text("".join(f"{name}\n" for name in data.names), encoding="utf-8")
+    write_text(folder / "obj.names", "".join(f"{name}\n" for name in data.names))
     for split, images in (("train", data.train), ("valid", data.valid)):
         text = "".join(f"{image.resolve()}\n" for image in images)
-        (folder / f"{split}.txt").write_text(text, encoding="utf-8")
+        write_text(folder / f"{split}.txt", text)
     lines = {
         "classes": len(data.names),
         "train": "train.txt",
@@ -101,8 +102,7 @@ def write_data_files(
     }
     if darknet.fork == "AlexeyAB":  # it writes _last only if more often than numbered snapshots
         lines["savelast"] = min(settings.save_every, 999)
-    text = "".join(f"{key} = {value}\n" for key, value in lines.items())
-    (folder / "obj.data").write_text(text, encoding="utf-8")
+    write_text(folder / "obj.data", "".join(f"{key} = {value}\n" for key, value in lines.items()))
 
 
 def training_command(

@@ -1,5 +1,6 @@
 """The files of a PyTorch training: weights, and checkpoints to resume from."""
 
+import os
 from pathlib import Path
 
 import torch
@@ -24,8 +25,13 @@ def save_checkpoint(
         "optimizer": optimizer.state_dict(),
         "iteration": iteration,
     }
-    with replacing(path) as partial:
-        torch.save(state, partial)
+    with replacing(path) as partial, partial.open("wb") as file:
+        try:
+            torch.save(state, file)
+        except RuntimeError:  # what it makes of the system's error, of which it tells nothing
+            file.flush()
+            os.fsync(file.fileno())
+            raise OSError("is the disk full?") from None
 
 
 def restore(path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimizer) -> int:
@@ -34,7 +40,7 @@ def restore(path: Path, network: DarknetNetwork, optimizer: torch.optim.Optimize
     Raises DroptrackError for a checkpoint that is missing, damaged, or of another network.
     """
     if not path.exists():
-        raise DroptrackError(f"{path}: no checkpoint to resume from; start without --resume")
+        raise DroptrackError(f"{path}: no checkpoint to resume from; start again, in another --out")
     try:
         state = torch.load(path, weights_only=True, map_location="cpu")
         network.load_state_dict(state["network"])

@@ -346,6 +346,7 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_done(
         ((video, "--nn-budget", "3"), "is of --tracker deepsort"),
         ((video, "--um-per-px", "-1"), "should be above 0"),
         ((video, "--analyse", "sizes"), "'sizes' is none of"),
+        ((video, "--plots", "passages"), "--plots passages: should be all, or some of sizes"),
     ):
         lines = batch(*words, "--out", out, code=1).splitlines()
         assert said in lines[-1]

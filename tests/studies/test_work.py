@@ -9,6 +9,7 @@ import pytest
 
 from droptrack.data.trajectories import read_trajectories
 from droptrack.errors import DroptrackError
+from droptrack.pipeline import open_detector
 from droptrack.pipeline.run import run
 from droptrack.studies import local, work
 from droptrack.studies import run as study_run
@@ -19,6 +20,7 @@ from droptrack.studies.options import Given
 from droptrack.studies.outcome import Outcome
 from droptrack.studies.run import Study, plan
 from droptrack.studies.sources import find_videos
+from droptrack.studies.summary import summarise
 from droptrack.studies.work import do_video
 from droptrack.studies.workers import Deaths, Note, Told
 from tests.studies.options import OPTIONS
@@ -133,6 +135,25 @@ def test_a_worker_of_another_version_that_comes_later_ends_the_study(
     with pytest.raises(DroptrackError, match=r"99\.0: install .* after 1 of 3 videos; what was"):
         study_run._do(study, planned.to_do, Two(), outcomes, print)
     assert plan(study, OPTIONS, print).reasons == ("", "new", "new")
+
+
+def test_what_was_chosen_for_a_video_makes_it_no_doubtful_one(
+    clips: Clips, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of all that a laboratory films: the model, the scale, the pixel that the file says."""
+    monkeypatch.setattr(open_detector, "MIN_AGREEMENT", 2.0)  # no video is for the other model
+    for name, options in (("a", ()), ("b", ("--weights", "simulations"))):
+        video = clips(tmp_path / f"{name}.avi", 0, 3)
+        config = OPTIONS.configured(
+            [*options, "--backend", "opencv", "--no-video", "--", str(video)]
+        )
+        one = job_of(name, tmp_path / "out" / name, config, {})
+        assert do_video(one, silent).reason == ""
+        kept = read_kept(one.folder)
+        assert kept is not None
+        chosen = [line for line in kept.said if "as laboratories film them" in line]
+        assert len(chosen) == (name == "a")
+        assert summarise(one)["warnings"] == ""
 
 
 def test_results_of_another_video_are_never_replaced(clips: Clips, tmp_path: Path) -> None:

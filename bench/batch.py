@@ -3,6 +3,7 @@
 Times are those of whole commands, as a user waits for them, and are compared within one run.
 """
 
+import csv
 import os
 import random
 import resource
@@ -23,6 +24,7 @@ from rich.console import Console
 
 from bench.drawn import write_video
 from droptrack.command_line import new_app, one_line_errors
+from droptrack.studies.jobs import read_kept
 
 app = new_app()
 console = Console()
@@ -167,18 +169,28 @@ def kills(
                         n_kills += 1
         killed_s = time.perf_counter() - began
         same = _same_rows(folder / "whole", folder / "killed")
+        reasons = _reasons(folder / "killed")
     console.print(
         f"{n_kills} kills: exit {batch.returncode}, {len(same)} of {videos} videos complete, rows "
         f"of {sum(same)} identical; {killed_s:.0f} s, undisturbed {undisturbed_s:.0f} s"
     )
+    for reason in reasons:
+        console.print(reason, markup=False)
+
+
+def _reasons(study: Path) -> list[str]:
+    """Why videos of a study are not done."""
+    with (study / "summary.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return [f"{row['name']}: {row['reason']}" for row in rows if row["state"] != "done"]
 
 
 def _same_rows(expected: Path, found: Path) -> Sequence[bool]:
-    """Of each video that is complete, whether its rows are those expected."""
+    """Of each video that is done, whether its rows are those expected."""
     return [
         (expected / path.parent.name / path.name).read_bytes() == path.read_bytes()
         for path in sorted(found.glob("*/trajectories.csv"))
-        if not (path.parent / "detections.part").exists()
+        if (kept := read_kept(path.parent)) is not None and kept.state == "done"
     ]
 
 

@@ -1,6 +1,6 @@
 """Which engine runs a network, and how precisely: the one named, or the fastest that works."""
 
-import ctypes.util
+import ctypes
 import importlib.util
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
@@ -168,9 +168,9 @@ def _candidates(precision: Precision) -> Iterator[Backend]:
     Importing PyTorch takes seconds, so it is not asked for a GPU where there is no driver; on CPUs
     it is the slowest.
     """
-    driver = ctypes.util.find_library("cuda") or ctypes.util.find_library("nvcuda")
+    driver = _has_driver()
     here = {
-        Backend.torch_cuda: bool(driver) and _installed("torch"),
+        Backend.torch_cuda: driver and _installed("torch"),
         Backend.opencv_cuda: opencv_dnn.has_cuda(),
         Backend.openvino: _installed("openvino") and _installed("onnx"),
         Backend.opencv: True,
@@ -180,6 +180,18 @@ def _candidates(precision: Precision) -> Iterator[Backend]:
     for backend, precisions in PRECISIONS.items():
         if here[backend] and (precision is Precision.auto or precision in precisions):
             yield backend
+
+
+@cache
+def _has_driver() -> bool:
+    """Whether there is a driver of NVIDIA's GPUs, by its library on Linux and on Windows."""
+    for name in ("libcuda.so.1", "nvcuda"):
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return True
+    return False
 
 
 def _installed(package: str) -> bool:

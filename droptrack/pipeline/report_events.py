@@ -25,6 +25,7 @@ from droptrack.tracking.events.passages import (
     passages,
     stays,
 )
+from droptrack.tracking.events.plot_names import parse_plots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +43,14 @@ class EventsConfig:
 
 
 def wanted_events(lines: Sequence[str], stays: Sequence[str], plots: str) -> EventsConfig | None:
-    """What to look for in a run, as its options --line, --stays and --plots say; None: nothing."""
+    """What to look for in a run, as its options --line, --stays and --plots say; None: nothing.
+
+    Raises DroptrackError for a plot of another name; lines and regions need the frames' size.
+    """
     if not (lines or stays or plots):
         return None
+    if plots:
+        parse_plots(plots)
     return EventsConfig(
         lines=tuple(lines), regions=tuple(stays), plots=plots, region_option="--stays"
     )
@@ -113,7 +119,7 @@ def _plots_of(
     """What draws the plots of these names; refuses other names before anything is written."""
     if not names:
         return lambda *_: None
-    from droptrack.tracking.events.plots import draw_plots, parse_plots
+    from droptrack.tracking.events.plots import draw_plots
 
     plots = parse_plots(names)
     return lambda out, rows, events, table: draw_plots(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from droptrack.data.files import user_cache, write_text
+from droptrack.errors import DroptrackError
 from droptrack.studies.addresses import COPY, failures, is_address, system_of
 from droptrack.studies.jobs import STATE, read_kept
 
@@ -82,8 +83,13 @@ class Place:
 
 
 def place_of(out: str) -> Place:
-    """The place that ``--out`` names; for an address, a folder in the user's cache besides."""
+    """The place that ``--out`` names; for an address, a folder in the user's cache besides.
+
+    Raises DroptrackError for one that cannot be.
+    """
     if not is_address(out):
+        if Path(out).is_file():
+            raise DroptrackError(f"{out}: is a file; --out is a folder for results")
         return Place(Path(out))
     address = out.rstrip("/")
     system_of(address)  # refuses what cannot be

@@ -1,11 +1,14 @@
 """Workers of a Dask cluster: one that is there, or jobs of SLURM or PBS that become one."""
 
+import logging
 import queue
+import shutil
 import uuid
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 from droptrack.errors import DroptrackError
@@ -19,6 +22,7 @@ from droptrack.version import __version__
 CONNECT_S = 20  # seconds in which a scheduler must answer
 LOOK_S = 1.0  # seconds between two looks at which workers there are
 TOPIC = "droptrack-"
+SUBMITS = {"slurm": "sbatch", "pbs": "qsub"}  # what a cluster takes jobs by
 
 
 def job_cluster(config: WorkersConfig) -> Any:
@@ -26,6 +30,11 @@ def job_cluster(config: WorkersConfig) -> Any:
 
     What the options do not say is taken from Dask's own configuration (jobqueue.yaml).
     """
+    command = SUBMITS[config.cluster or "slurm"]
+    if shutil.which(command) is None:
+        raise DroptrackError(
+            f"--{config.cluster}: there is no {command} here: run it where jobs can be submitted"
+        )
     try:
         from dask_jobqueue import PBSCluster, SLURMCluster
     except ImportError:
@@ -59,12 +68,15 @@ def dask_workers(config: WorkersConfig, say: Say) -> Iterator["DaskWorkers"]:
     if config.cluster is not None:
         cluster = job_cluster(config)
         try:
-            # jobs that end before all is done are replaced
-            cluster.adapt(minimum_jobs=config.jobs, maximum_jobs=config.jobs)
-            with Client(cluster) as client:
-                yield DaskWorkers(client, say)
+            with _refusals_of_jobs(f"--{config.cluster}") as refusals:
+                # jobs that end before all is done are replaced
+                cluster.adapt(minimum_jobs=config.jobs, maximum_jobs=config.jobs)
+                with Client(cluster) as client:
+                    if find_spec("bokeh") is not None:  # which draws the dashboard
+                        _say_dashboard(client, say)
+                    yield DaskWorkers(client, refusals)
         finally:
-            cluster.close()
+            _close(cluster)
         return
     address = config.scheduler or ""
     try:
@@ -74,7 +86,55 @@ def dask_workers(config: WorkersConfig, say: Say) -> Iterator["DaskWorkers"]:
         raise DroptrackError(f"--scheduler {address}: cannot be reached: {why}") from None
     with client:
         _refuse_other_versions(client, address)
-        yield DaskWorkers(client, say)
+        _say_dashboard(client, say)
+        yield DaskWorkers(client)
+
+
+def _close(cluster: Any) -> None:
+    """Close a cluster, and one whose jobs were refused, too, at which Dask's own check fails."""
+    try:
+        cluster.close()
+    except AssertionError:  # the last it does: all else is closed
+        cluster.status = type(cluster.status).closed
+
+
+def _say_dashboard(client: Any, say: Say) -> None:
+    if client.dashboard_link:
+        say(f"Dask's dashboard: {client.dashboard_link}")
+
+
+class _Refusals(logging.Filter):
+    """Keeps why jobs could not be submitted, which Dask only logs, out of the terminal."""
+
+    def __init__(self, option: str) -> None:
+        super().__init__()
+        self._option = option
+        self._last = ""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether a record is of anything else."""
+        error = record.exc_info[1] if record.exc_info else None
+        if not isinstance(error, OSError | RuntimeError):
+            return True
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        self._last = lines[-1] if lines else type(error).__name__  # what the command said itself
+        return False
+
+    def take(self) -> str:
+        """Why the last job could not be submitted, once; empty where all could."""
+        last, self._last = self._last, ""
+        return last and f"{self._option}: no job could be submitted: {last}"
+
+
+@contextmanager
+def _refusals_of_jobs(option: str) -> Iterator[_Refusals]:
+    """What Dask logs of jobs that cannot be submitted, for those who wait for these."""
+    refusals, log = _Refusals(option), logging.getLogger("tornado.application")
+    log.addFilter(refusals)
+    try:
+        yield refusals
+    finally:
+        log.removeFilter(refusals)
 
 
 def _refuse_other_versions(client: Any, address: str) -> None:
@@ -106,11 +166,9 @@ class DaskWorkers:
     from where it was.
     """
 
-    def __init__(self, client: Any, say: Say) -> None:
-        self._client = client
+    def __init__(self, client: Any, refusals: _Refusals | None = None) -> None:
+        self._client, self._refusals = client, refusals
         self.described = f"the Dask cluster at {client.scheduler.address}"
-        if client.dashboard_link:
-            say(f"Dask's dashboard: {client.dashboard_link}")
 
     def work(self, jobs: Sequence[Job]) -> Generator[Told]:
         """Do jobs, and tell how far they are; ends when each has its outcome."""
@@ -122,6 +180,10 @@ class DaskWorkers:
         try:
             while n_left:
                 n_workers = self._n_workers()
+                if refusal := self._refusals and self._refusals.take():
+                    if not n_workers:
+                        raise DroptrackError(f"{refusal}; what was done stays")
+                    yield Note(refusal)
                 while waiting and len(running) < n_workers:
                     job = waiting.popleft()
                     future = self._client.submit(

@@ -15,7 +15,7 @@ from typing import Any
 from droptrack.errors import DroptrackError
 from droptrack.studies.jobs import Job
 from droptrack.studies.outcome import Outcome
-from droptrack.studies.workers import MAX_DEATHS, Advance, Deaths, Note, Told
+from droptrack.studies.workers import MAX_IN_VAIN, Advance, Deaths, Note, Told
 
 MODULE = "droptrack.studies.local_process"
 GRACE_S = 20.0  # seconds that a worker has to finish its files
@@ -117,7 +117,7 @@ class _Worker(threading.Thread):
                 if self._ending:
                     return
                 if not self._deaths.died(job.name):
-                    reason = f"the worker that did it {ended}, again and again at the same frame"
+                    reason = f"the worker that did it {ended}, again and again without getting on"
                     self._told.put(Outcome(name=job.name, reason=reason))
                     return
                 self._told.put(Note(f"{self.name} {ended}; {job.name} goes on in a new one"))
@@ -131,7 +131,7 @@ class _Worker(threading.Thread):
         One that is killed while it starts is replaced, like those that are killed later.
         """
         ended = ""
-        for _ in range(MAX_DEATHS):
+        for _ in range(MAX_IN_VAIN):
             process = self._new_process()
             try:
                 self._read(process)

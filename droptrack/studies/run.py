@@ -152,6 +152,8 @@ def _do(
                     progress.advance(item)
                 elif isinstance(item, Note):
                     progress.say(item.text, say)
+                elif item.other_version:
+                    raise DroptrackError(f"{item.reason}{_so_far(outcomes, jobs)}")
                 else:
                     outcomes.append(item)
                     progress.done(item)

@@ -36,7 +36,9 @@ def find_videos(sources: Iterable[str], options: VideoOptions, say: Say) -> list
     for source in sources:
         path = Path(source)
         if path.suffix.lower() in LISTS and path.is_file():
-            entries += read_list(path, options)
+            listed = read_list(path, options)
+            _say_of_columns(source, listed[0], say)
+            entries += listed
         elif is_address(source):
             entries += [Entry(video=one, where=source) for one in _addresses(source)]
         elif path.exists() and not path.is_dir():
@@ -53,6 +55,13 @@ def find_videos(sources: Iterable[str], options: VideoOptions, say: Say) -> list
         else:
             raise DroptrackError(f"{source}: no such video, folder, pattern or list")
     return _each_once(entries, say)
+
+
+def _say_of_columns(source: str, entry: Entry, say: Say) -> None:
+    """Tell which columns of a list are no options: one of them may be a slip."""
+    if entry.free:
+        plural = "columns" if len(entry.free) > 1 else "column"
+        say(f"{source}: {plural} of your own: {printable(', '.join(entry.free))}")
 
 
 def _addresses(source: str) -> list[str]:
@@ -113,7 +122,7 @@ def _refuse_none(source: str, found: Sequence[str], why: str) -> None:
 def _each_once(entries: Sequence[Entry], say: Say) -> list[Entry]:
     """The videos without those named again; raises DroptrackError where lists contradict."""
     kept: dict[tuple[str, str], Entry] = {}
-    n_again = 0
+    again: dict[str, None] = {}
     for entry in entries:
         key = identity(entry.video), entry.name
         before = kept.setdefault(key, entry)
@@ -124,8 +133,10 @@ def _each_once(entries: Sequence[Entry], say: Say) -> list[Entry]:
                 f"{entry.where}: {printable(entry.video)} was in {before.where} already, with "
                 "other columns; give each a name of its own in a column 'name'"
             )
-        n_again += 1
-    if n_again:
-        plural = "videos were" if n_again > 1 else "video was"
-        say(f"{n_again} {plural} named more than once, and is done once")
+        again[before.video] = None
+    if again:
+        plural = "videos are each" if len(again) > 1 else "video is"
+        more = ", ..." if len(again) > MAX_NAMED else ""
+        named = printable(", ".join(list(again)[:MAX_NAMED]))
+        say(f"{len(again)} {plural} named more than once, and done once: {named}{more}")
     return list(kept.values())

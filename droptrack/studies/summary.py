@@ -52,7 +52,11 @@ def summarise(job: Job) -> Row:
     return row | {"seconds": kept.seconds}
 
 
-NO_WARNINGS = (" px, on ", "resumed after", "compiling loops")  # which engine, and the like
+NO_WARNINGS = (  # what was chosen, and the like: said of videos of which nothing is doubtful
+    *(" px, on ", "resumed after", "compiling loops", "um wide, as the file says", "as MPEG-4 "),
+    *("the model for droplets as laboratories film them", "the network sees "),
+    "droplets that it cuts are at_edge",
+)
 _EVENTS = ("n_coalescence", "n_break_up")
 
 

@@ -45,6 +45,7 @@ def do_video(job: Job, tell: Tell) -> Outcome:
             name=job.name,
             reason=f"the worker on {platform.node()} has droptrack {__version__}, the batch "
             f"{job.version}: install one version everywhere",
+            other_version=True,
         )
     began = time.perf_counter()
     try:
@@ -132,9 +133,9 @@ def _track(job: Job, say: Say, tell: Tell, *, resume: bool) -> TrackingRun:
 def _reason(error: Exception, job: Job) -> str:
     """What went wrong, in one line."""
     text = str(error)
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and not isinstance(error, DroptrackError):
         text = f"{error.filename or job.folder}: {error.strerror or error}"
-    elif not isinstance(error, DroptrackError):
+    elif not isinstance(error, DroptrackError):  # which names the file itself
         text = f"{type(error).__name__}: {text[:200]}; see {job.place}/{LOG}"
     return printable(" ".join(text.split()))
 

@@ -8,6 +8,8 @@ from droptrack.studies.jobs import Job
 from droptrack.studies.outcome import Outcome
 
 MAX_DEATHS = 3  # of workers at the same frame of a video: it is the video that kills them
+SAME_FRAMES = 50  # between two words of how far a video is, which come twice a second
+MAX_IN_VAIN = 10  # deaths, wherever, since a video got further than ever before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,20 +45,33 @@ class Workers(Protocol):
 
 
 class Deaths:
-    """How often workers died at each video, and how far they had come."""
+    """How often workers died at each video, and how far they had come.
+
+    What kills workers may be the video, or have nothing to do with it, as where nodes are taken
+    away: those die at any frame, or before the first one.
+    """
 
     def __init__(self) -> None:
+        self._now: dict[str, int] = {}  # how far the worker of a video is, from its first word on
         self._furthest: dict[str, int] = {}
-        self._at_death: dict[str, tuple[int, int]] = {}  # how often, and the frame
+        self._alike: dict[str, tuple[int, int]] = {}  # deaths at the same frame, and the frame
+        self._n_in_vain: dict[str, int] = {}
 
     def advanced(self, name: str, n_done: int) -> None:
         """Note how far a video is."""
-        self._furthest[name] = max(n_done, self._furthest.get(name, 0))
+        self._now[name] = n_done
+        if n_done > self._furthest.get(name, 0):
+            self._furthest[name] = n_done
+            self._n_in_vain[name] = 0
+            self._alike.pop(name, None)
 
     def died(self, name: str) -> bool:
         """Note that a worker died; whether its video should be tried again."""
-        frame = self._furthest.get(name, 0)
-        n_deaths, before = self._at_death.get(name, (0, frame))
-        n_deaths = n_deaths + 1 if frame <= before else 1
-        self._at_death[name] = n_deaths, frame
-        return n_deaths < MAX_DEATHS
+        self._n_in_vain[name] = self._n_in_vain.get(name, 0) + 1
+        frame = self._now.pop(name, None)
+        n_alike = 0
+        if frame is not None:
+            n_before, before = self._alike.get(name, (0, frame))
+            n_alike = n_before + 1 if abs(frame - before) <= SAME_FRAMES else 1
+            self._alike[name] = n_alike, frame
+        return n_alike < MAX_DEATHS and self._n_in_vain[name] < MAX_IN_VAIN

@@ -3,6 +3,8 @@
 import csv
 import json
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -53,6 +55,22 @@ def redone(out: Path, before: dict[str, int]) -> set[str]:
     return {name for name, when in times(out).items() if when != before.get(name)}
 
 
+AS_ROOT = ("unshare", "--map-root-user", "--mount", "sh", "-c")
+
+
+def can_mount() -> bool:
+    """Whether tests may mount a file system that only they see."""
+    if shutil.which("unshare") is None:
+        return False
+    tried = subprocess.run([*AS_ROOT, "mount -t tmpfs none /tmp"], capture_output=True, check=False)
+    return tried.returncode == 0
+
+
+def is_done(folder: Path) -> bool:
+    state = folder / STATE
+    return state.is_file() and json.loads(state.read_text())["state"] == "done"
+
+
 @pytest.fixture(scope="module")
 def study(clips: Clips, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two videos of one name, a damaged one, and a list of them, done."""
@@ -67,11 +85,13 @@ def study(clips: Clips, tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     said = batch(folder / "list.csv", "--out", folder / "out", code=1)
     lines = said.splitlines()
-    assert lines[0] == "2 videos are called a.avi; their folders: mon_a, tue_a"
-    assert lines[1].startswith("3 videos to do; ")
-    assert lines[2].startswith("damaged: failed: ")
-    assert lines[3] == f"droptrack: 1 of 3 videos failed: {folder / 'out' / 'summary.csv'}"
-    assert len(lines) == 4
+    listed = folder / "list.csv"
+    assert lines[0] == f"{listed}: columns of your own: sample, pressure, batch no"
+    assert lines[1] == "2 videos are called a.avi; their folders: mon_a, tue_a"
+    assert lines[2].startswith("3 videos to do; ")
+    assert lines[3].startswith("damaged: failed: ")
+    assert lines[4] == f"droptrack: 1 of 3 videos failed: {folder / 'out' / 'summary.csv'}"
+    assert len(lines) == 5
     return folder
 
 
@@ -325,8 +345,50 @@ def test_what_is_wrong_is_said_in_one_line_before_anything_is_done(
         ((video, "--jobs", "3"), "--jobs is of --slurm and --pbs"),
         ((video, "--nn-budget", "3"), "is of --tracker deepsort"),
         ((video, "--um-per-px", "-1"), "should be above 0"),
+        ((video, "--analyse", "sizes"), "'sizes' is none of"),
+        ((video, "--plots", "passages"), "--plots passages: should be all, or some of sizes"),
     ):
         lines = batch(*words, "--out", out, code=1).splitlines()
         assert said in lines[-1]
         assert len(lines) == 1
         assert not out.exists()
+    assert batch(video, "--out", video, code=1) == (
+        f"droptrack: {video}: is a file; --out is a folder for results\n"
+    )
+
+
+@pytest.mark.skipif(not can_mount(), reason="needs leave to mount a file system")
+def test_a_disk_that_is_full_in_the_middle_ends_all_and_costs_nothing(
+    clips: Clips, tmp_path: Path
+) -> None:
+    """On a disk of the size that results of two videos of four have."""
+    first = clips(tmp_path / "in" / "0.avi", 0, 6)
+    for k in range(1, 4):
+        os.link(first, tmp_path / "in" / f"{k}.avi")
+    words = ["batch", tmp_path / "in", "--workers", "1", *FAST, "--out"]
+    disk, whole = tmp_path / "disk", tmp_path / "whole"
+    disk.mkdir()
+    command = " ".join(map(shlex.quote, map(str, [sys.executable, "-m", "droptrack", *words])))
+    subprocess.run(f"{command} {whole}", shell=True, cwd=ROOT, check=True, capture_output=True)
+    n_kb = sum(path.stat().st_size for path in whole.glob("[01]/*")) // 1024 + 40
+    script = (
+        f"mount -t tmpfs -o size={n_kb}k disk {disk} && cd {ROOT}; {command} {disk}/out; "
+        f"echo ends with $?; mkdir {tmp_path}/full && cp -r {disk}/out {tmp_path}/full; "
+        f"mount -o remount,size=90m {disk}; {command} {disk}/out; echo ends with $?; "
+        f"cp -r {disk}/out {tmp_path}/after"
+    )
+    done = subprocess.run([*AS_ROOT, script], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[0] == "ends with 1"
+    assert done.stdout.splitlines()[-1] == "ends with 0"
+    lines = [line for line in done.stderr.splitlines() if "disk is full" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"droptrack: {disk}/out: the disk is full after ")
+    assert "Traceback" not in done.stderr
+    kept = [n for n in range(4) if is_done(tmp_path / "full" / "out" / str(n))]
+    assert 0 in kept
+    assert len(kept) < 4
+    for n in kept:
+        assert rows(tmp_path / "full" / "out" / str(n)) == rows(whole / str(n))
+    assert f"{4 - len(kept)} video" in done.stderr.split("disk is full")[1]
+    for n in range(4):
+        assert rows(tmp_path / "after" / str(n)) == rows(whole / str(n))

@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -107,8 +107,11 @@ def test_workers_of_another_version_are_refused(
         ("pbs", ("ncpus=8", "#PBS -q fast", "walltime=02:00:00")),
     ],
 )
-def test_jobs_ask_for_what_the_options_say(kind: Any, expected: tuple[str, ...]) -> None:
+def test_jobs_ask_for_what_the_options_say(
+    kind: Any, expected: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("dask_jobqueue")
+    monkeypatch.setattr(dask_workers, "SUBMITS", dict.fromkeys(("slurm", "pbs"), "sh"))
     config = WorkersConfig(
         cluster=kind, job_cores=8, job_memory="6GB", walltime="02:00:00", queue="fast"
     )
@@ -121,6 +124,62 @@ def test_jobs_ask_for_what_the_options_say(kind: Any, expected: tuple[str, ...])
         assert line in script
     assert "--nthreads 1" in script
     assert "OMP_NUM_THREADS=8" in script
+
+
+@pytest.fixture
+def submit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Puts a command `sbatch` before all others: what it does, in the shell's language."""
+    pytest.importorskip("dask_jobqueue")
+    folder = tmp_path / "bin"
+    folder.mkdir()
+
+    def put(does: str) -> None:
+        for name, text in (("sbatch", does), ("scancel", "kill $1")):
+            (folder / name).write_text(f"#!/bin/sh\n{text}\n")
+            (folder / name).chmod(0o755)
+        monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+
+    return put
+
+
+JOBS = ("--slurm", "--jobs", 1, "--job-cores", 1, "--job-memory", "2GB")
+
+
+@needs_proc
+def test_jobs_of_slurm_do_a_study(
+    submit: Callable[[str], None], clips: Clips, tmp_path: Path
+) -> None:
+    """With a SLURM whose jobs are processes of this machine."""
+    job = tmp_path / "job.sh"  # Dask deletes its own
+    submit(f'cp "$1" {job}\nsh {job} >/dev/null 2>&1 & echo "Submitted batch job $!"')
+    for k in range(2):
+        clips(tmp_path / f"{k}.avi", 10 * k, 4)
+    batch(tmp_path / "*.avi", "--out", tmp_path / "here")
+    batch(tmp_path / "*.avi", "--out", tmp_path / "there", *JOBS)
+    for k in range(2):
+        assert rows(tmp_path / "there" / str(k)) == rows(tmp_path / "here" / str(k))
+
+
+def test_a_job_that_is_refused_is_said_in_one_line(
+    submit: Callable[[str], None], clips: Clips, tmp_path: Path
+) -> None:
+    submit("echo 'sbatch: error: invalid partition specified: fast' >&2; exit 1")
+    video = clips(tmp_path / "a.avi", 0, 2)
+    lines = batch(video, "--out", tmp_path / "out", *JOBS, "--queue", "fast", code=1).splitlines()
+    assert lines[-1] == (
+        "droptrack: --slurm: no job could be submitted: sbatch: error: invalid partition "
+        "specified: fast; what was done stays"
+    )
+    told = ("Dask's dashboard: ", "1 video to do; ", "no worker is there: waiting")
+    assert all(line.startswith(told) for line in lines[:-1])
+
+
+def test_a_machine_without_slurm_is_said_in_one_line(clips: Clips, tmp_path: Path) -> None:
+    video = clips(tmp_path / "a.avi", 0, 2)
+    lines = batch(video, "--out", tmp_path / "out", *JOBS, code=1).splitlines()
+    assert lines == [
+        "droptrack: --slurm: there is no sbatch here: run it where jobs can be submitted"
+    ]
 
 
 def test_only_one_way_to_compute_is_taken() -> None:

@@ -35,7 +35,7 @@ def test_folders_and_patterns_stand_for_the_videos_in_them(tmp_path: Path) -> No
     assert found(tmp_path / "**" / "*.cine")[0] == [str(tmp_path / "deep" / "c.cine")]
     again, said = found(tmp_path / "b.avi", tmp_path / "*.avi")
     assert again == [str(tmp_path / "b.avi")]
-    assert said == ["1 video was named more than once, and is done once"]
+    assert said == [f"1 video is named more than once, and done once: {tmp_path / 'b.avi'}"]
 
 
 def test_single_tiffs_are_the_images_of_a_video_and_stacks_are_videos(tmp_path: Path) -> None:

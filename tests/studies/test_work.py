@@ -9,6 +9,7 @@ import pytest
 
 from droptrack.data.trajectories import read_trajectories
 from droptrack.errors import DroptrackError
+from droptrack.pipeline import open_detector
 from droptrack.pipeline.run import run
 from droptrack.studies import local, work
 from droptrack.studies import run as study_run
@@ -19,6 +20,7 @@ from droptrack.studies.options import Given
 from droptrack.studies.outcome import Outcome
 from droptrack.studies.run import Study, plan
 from droptrack.studies.sources import find_videos
+from droptrack.studies.summary import summarise
 from droptrack.studies.work import do_video
 from droptrack.studies.workers import Deaths, Note, Told
 from tests.studies.options import OPTIONS
@@ -106,8 +108,52 @@ def test_a_full_disk_ends_the_study_and_keeps_what_was_done(
 
 def test_a_worker_of_another_version_does_nothing(clips: Clips, tmp_path: Path) -> None:
     one = replace(job(clips(tmp_path / "a.avi", 0, 2), tmp_path), version="99.0")
-    assert "the batch 99.0: install one version everywhere" in do_video(one, silent).reason
+    outcome = do_video(one, silent)
+    assert "the batch 99.0: install one version everywhere" in outcome.reason
+    assert outcome.other_version
     assert not one.folder.exists()
+
+
+def test_a_worker_of_another_version_that_comes_later_ends_the_study(
+    clips: Clips, tmp_path: Path
+) -> None:
+    """It would take one video after the other, and do none."""
+    for name in "abc":
+        clips(tmp_path / f"{name}.avi", 0, 2)
+    study = Study(sources=(str(tmp_path / "*.avi"),), place=Place(tmp_path / "out"), options=FAST)
+    planned = plan(study, OPTIONS, print)
+    outcomes: list[Outcome] = []
+
+    class Two:
+        described = "one of this version, and one of another"
+
+        def work(self, jobs: Sequence[Job]) -> Generator[Told]:
+            yield do_video(jobs[0], silent)
+            yield do_video(replace(jobs[1], version="99.0"), silent)
+            raise AssertionError
+
+    with pytest.raises(DroptrackError, match=r"99\.0: install .* after 1 of 3 videos; what was"):
+        study_run._do(study, planned.to_do, Two(), outcomes, print)
+    assert plan(study, OPTIONS, print).reasons == ("", "new", "new")
+
+
+def test_what_was_chosen_for_a_video_makes_it_no_doubtful_one(
+    clips: Clips, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of all that a laboratory films: the model, the scale, the pixel that the file says."""
+    monkeypatch.setattr(open_detector, "MIN_AGREEMENT", 2.0)  # no video is for the other model
+    for name, options in (("a", ()), ("b", ("--weights", "simulations"))):
+        video = clips(tmp_path / f"{name}.avi", 0, 3)
+        config = OPTIONS.configured(
+            [*options, "--backend", "opencv", "--no-video", "--", str(video)]
+        )
+        one = job_of(name, tmp_path / "out" / name, config, {})
+        assert do_video(one, silent).reason == ""
+        kept = read_kept(one.folder)
+        assert kept is not None
+        chosen = [line for line in kept.said if "as laboratories film them" in line]
+        assert len(chosen) == (name == "a")
+        assert summarise(one)["warnings"] == ""
 
 
 def test_results_of_another_video_are_never_replaced(clips: Clips, tmp_path: Path) -> None:
@@ -160,7 +206,19 @@ def test_deaths_count_only_where_a_video_does_not_get_on() -> None:
     for frame in range(10):  # nodes that go, one after the other
         deaths.advanced("long", 100 * frame)
         assert deaths.died("long")
-    assert [deaths.died("bad") for _ in range(3)] == [True, True, False]
+    for again in (True, True, False):
+        deaths.advanced("bad", 7)
+        assert deaths.died("bad") is again
+
+
+def test_workers_that_are_killed_anywhere_say_little_of_the_video() -> None:
+    """As where something kills a worker every few seconds, and starting takes as long."""
+    deaths = Deaths()
+    assert all(deaths.died("a") for _ in range(9))  # before a first frame
+    for frame in (150, 20, 90, 30, 149, 60, 10, 80, 140):  # done, and its last files not written
+        deaths.advanced("a", frame)
+        assert deaths.died("a")
+    assert not deaths.died("a")  # the tenth since it came to frame 150
 
 
 def test_workers_fit_cores_and_memory() -> None:

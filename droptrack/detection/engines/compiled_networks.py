@@ -16,17 +16,18 @@ from droptrack.data.files import user_cache
 
 MAX_KEPT = 40  # networks; of more, those that were used longest ago are deleted
 SUFFIX = ".network"
+DIGEST = 32  # bytes of a sha256, which come first
 
 
 def find(about: Mapping[str, object]) -> bytes | None:
     """The network told by what it depends on; None where there is none, or a damaged one."""
     path = _path(about)
     try:
-        content = path.read_bytes()
+        with path.open("rb", buffering=0) as file:  # without copies
+            digest, network = file.read(DIGEST), file.read()
         os.utime(path)
     except OSError:
         return None
-    digest, network = content[:32], content[32:]
     return network if hashlib.sha256(network).digest() == digest else None
 
 

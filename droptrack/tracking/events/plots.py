@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,8 @@ from droptrack.data.arrays import Bools, Floats, Rows
 from droptrack.data.files import replacing
 from droptrack.data.trajectories import TEXT, Trajectories
 from droptrack.data.units import Units
-from droptrack.errors import DroptrackError
 from droptrack.tracking.events.lineage import Event, Kind
+from droptrack.tracking.events.plot_names import Plot
 
 BINS = 30  # along the channel, and in time
 MIN_IN_BIN = 3  # values for which a bin's median is drawn
@@ -29,16 +28,6 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-
-
-class Plot(StrEnum):
-    """What can be drawn."""
-
-    sizes = "sizes"
-    deformation = "deformation"
-    speed = "speed"
-    kymograph = "kymograph"
-    paths = "paths"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,18 +48,6 @@ class _Data:
     size: tuple[int, int]
     length: str
     time: str
-
-
-def parse_plots(text: str) -> list[Plot]:
-    """Plots by their names, with commas between, or all; raises DroptrackError for others."""
-    if text == "all":
-        return list(Plot)
-    try:
-        return [Plot(part.strip()) for part in text.split(",")]
-    except ValueError:
-        raise DroptrackError(
-            f"--plots {text}: should be all, or some of {','.join(Plot)}"
-        ) from None
 
 
 def draw_plots(

@@ -14,7 +14,7 @@ N_RAYS = 64
 ANGLES = np.arange(N_RAYS) * (2 * np.pi / N_RAYS)
 DIRECTIONS = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 
-REACH = 1.2  # how far a ray goes, in units of the box's own side there,
+REACH = 1.35  # how far a ray goes, in units of the box's own side there,
 MARGIN_PX = 2.5  # and further
 INNER = 0.6  # an edge is looked for from here on, in the same units
 CORE = 0.75  # a ray ends in a neighbour, in units of its half sizes,

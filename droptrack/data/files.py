@@ -29,7 +29,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield partial
         os.replace(partial, path)
-    except FileNotFoundError:  # of what is read meanwhile, or of the folder
+    except (FileNotFoundError, UnwritableError):  # of what is read meanwhile, or of another file
         partial.unlink(missing_ok=True)
         raise
     except OSError as error:

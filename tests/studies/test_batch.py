@@ -289,7 +289,7 @@ def test_a_killed_worker_costs_nothing_but_time(clips: Clips, tmp_path: Path) ->
     batch(tmp_path, "--out", tmp_path / "whole")
     out = tmp_path / "out"
     process = started(tmp_path / "*.avi", "--out", out, "--workers", "1")
-    for n_bytes in (2_000, 9_000):
+    for n_bytes in (6_000, 9_000):
         log = out / "a" / "detections.part"
         wait_for(partial(is_longer, log, n_bytes))
         (worker,) = workers_of(process)
@@ -309,7 +309,7 @@ def test_an_ended_batch_leaves_no_worker_and_goes_on(clips: Clips, tmp_path: Pat
     out = tmp_path / "out"
     process = started(tmp_path / "*.avi", "--out", out)
     log = out / "a" / "detections.part"
-    wait_for(partial(is_longer, log, 2_000))
+    wait_for(partial(is_longer, log, 6_000))
     workers = workers_of(process)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=600)

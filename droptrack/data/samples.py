@@ -11,7 +11,7 @@ from droptrack.data.sources.opencv_names import opencv_name
 from droptrack.data.sources.video_files import without_colour
 from droptrack.data.video import Video
 
-N_SAMPLES = 4
+N_SAMPLES = 8
 MAX_SECONDS = 1.0  # of processors, after which no further frame is sought
 
 

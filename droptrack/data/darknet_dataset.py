@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from droptrack.data.detections import Detections
 from droptrack.data.files import read_text, reading, write_text
-from droptrack.data.frames import as_frame
+from droptrack.data.frames import Frame, as_frame
 from droptrack.data.sources.image_sequences import read_image_file
 from droptrack.errors import DroptrackError
 
@@ -65,13 +65,18 @@ def read_names(path: Path) -> tuple[str, ...]:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """One image as (H, W, 3) uint8 BGR; raises DroptrackError if it cannot be read."""
+    return np.ascontiguousarray(read_frame(path))
+
+
+def read_frame(path: Path) -> Frame:
+    """The same, where the three channels of a grey image are one in memory (`grey_plane`)."""
     if not path.exists():
         raise DroptrackError(f"{path}: no such image")
     with reading(path, "an image"):
         image = read_image_file(path)
     if image is None:
         raise DroptrackError(f"{path}: cannot be decoded as an image")
-    return np.ascontiguousarray(as_frame(image))
+    return as_frame(image)
 
 
 def read_labels(image: Path) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -76,8 +76,8 @@ def score_detections(detect: Detect, labelled: Iterable[LabelledImage]) -> Detec
 
 
 def mean_average_precision(cfg: Cfg, weights: Path, images: Sequence[Path]) -> float:
-    """mAP@0.50 of weights on images of a data set, by Darknet's definition."""
-    detect = one_by_one(darknet_detector(cfg, weights))
+    """mAP@0.50 of weights on images of a data set, by Darknet's definition, with any engine."""
+    detect = one_by_one(darknet_detector(cfg, weights, backend=Backend.auto))
     return score_detections(detect, read_labelled(images)).average_precision
 
 

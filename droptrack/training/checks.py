@@ -79,17 +79,19 @@ def check_images(cfg: Cfg, data: DataSet) -> None:
                     f"{cfg.path}:{layer.line}: max={max_boxes}, but {labels} has {len(boxes)} "
                     f"boxes, the rest of which would not be learnt; set max={len(boxes)} or more"
                 )
-            for row, (class_id, box) in enumerate(zip(class_ids, boxes, strict=True)):
-                if not 0 <= class_id < len(data.names):
-                    raise DroptrackError(
-                        f"{labels}:{_line(labels, row)}: has class {class_id}, but {data.path} has "
-                        f"classes 0 to {len(data.names) - 1}"
-                    )
-                if not (box > 0).all():
-                    raise DroptrackError(
-                        f"{labels}:{_line(labels, row)}: a box needs a centre, a width and a "
-                        "height above 0; delete the line"
-                    )
+            unknown = (class_ids < 0) | (class_ids >= len(data.names))
+            if unknown.any():
+                row = int(unknown.argmax())
+                raise DroptrackError(
+                    f"{labels}:{_line(labels, row)}: has class {class_ids[row]}, but {data.path} "
+                    f"has classes 0 to {len(data.names) - 1}"
+                )
+            if not (boxes > 0).all():
+                row = int((boxes <= 0).any(axis=1).argmax())
+                raise DroptrackError(
+                    f"{labels}:{_line(labels, row)}: a box needs a centre, a width and a "
+                    "height above 0; delete the line"
+                )
 
 
 def _line(labels: Path, row: int) -> int:

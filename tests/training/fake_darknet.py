@@ -40,6 +40,8 @@ def main() -> None:
             continue
         if in_map and not with_map:
             continue
+        if in_map and trouble == "last map" and iteration == 310:
+            os.abort()
         (err if line.startswith(FOR_STDERR) else out).write(line)
         out.flush()
         err.flush()

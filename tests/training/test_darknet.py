@@ -209,6 +209,16 @@ def test_death_at_the_first_map_is_met_by_scoring_the_snapshots_here(
     assert not (out / "mini_scored.weights").exists()
 
 
+def test_death_at_the_last_map_is_met_so_too(
+    darknet: FakeDarknet, data: Path, tmp_path: Path
+) -> None:
+    darknet.will("hank_ai", "last map")  # AlexeyAB's writes the final weights before it
+    code, output = train(darknet, data, tmp_path / "run", "--map-every", "50", "--map-images", "2")
+    assert code == 0, output
+    assert 310 in mean_aps(read_log(tmp_path / "run" / "training.csv"))
+    assert (tmp_path / "run" / "mini_final.weights").exists()
+
+
 def test_death_after_the_end_is_none(darknet: FakeDarknet, data: Path, tmp_path: Path) -> None:
     darknet.will("alexeyab", "end")
     assert train(darknet, data, tmp_path / "run")[0] == 0
@@ -307,6 +317,9 @@ def test_the_binary_is_the_one_given_then_that_of_the_environment_then_of_the_pa
     with pytest.raises(DroptrackError, match=r"--darknet .*missing: is no program"):
         find_darknet(tmp_path / "missing")
     with pytest.raises(DroptrackError, match="is no Darknet: `version` answers 'hello"):
+        identify(other)
+    other.write_text("#!/bin/sh\necho 'CUDA status Error: file: ./src/cuda.c : () : line: 59'\n")
+    with pytest.raises(DroptrackError, match="is built for a GPU and finds none that works: 'CUDA"):
         identify(other)
 
 

@@ -8,6 +8,7 @@ import sys
 import time
 from dataclasses import replace
 from itertools import count
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ torch = pytest.importorskip("torch", reason="needs the extra [train]")
 from bench.random_network import random_weights
 from data_gen.scenes.dataset import Recipe, image_source, make_dataset
 from droptrack.data.darknet_dataset import DataSet, read_data_file, read_image
+from droptrack.data.frames import grey_frame
 from droptrack.errors import DroptrackError
 from droptrack.evaluation.network_scores import darknet_detector
 from droptrack.network.darknet_cfg import parse_cfg, read_cfg
@@ -29,7 +31,13 @@ from droptrack.network.torch_network import DarknetNetwork, load_values
 from droptrack.training.log import read_log
 from droptrack.training.pytorch import training as torch_train
 from droptrack.training.pytorch.devices import choose_devices
-from droptrack.training.pytorch.images import Augmentation, Batches, augment
+from droptrack.training.pytorch.images import (
+    Augmentation,
+    Batches,
+    TrainingImages,
+    augment,
+    share_by_files,
+)
 from droptrack.training.pytorch.optimisation import gradient_step, learning_rate
 from droptrack.training.pytorch.settings import Job, TorchSettings
 from droptrack.training.pytorch.training import train
@@ -179,6 +187,38 @@ def test_it_trains_in_a_process_that_has_computed_in_threads(data: DataSet, tmp_
         capture_output=True, text=True, check=True, timeout=300,
     ).stdout  # fmt: skip
     assert said == "2 iterations\n"
+
+
+def test_a_worker_is_sent_little_however_many_images_there_are(data: DataSet) -> None:
+    """More than a pipe holds would have to wait for each worker's start, one after the other."""
+    many = replace(data, train=data.train * 5000)
+    share_by_files()
+    how = Augmentation.of(read_cfg(SMALL), None, None)
+    images = TrainingImages(many, how, None)
+    sent = ForkingPickler.dumps(images)
+    assert len(sent) < 8192 < len(ForkingPickler.dumps(many.train))
+    assert list(images.paths) == list(many.train)
+    assert len(images) == len(many.train)
+
+
+KEPT = """
+import os
+from droptrack.training.pytorch.devices import leave_open_files_to_no_other
+
+ends = os.pipe()
+for end in ends:
+    os.set_inheritable(end, True)
+leave_open_files_to_no_other()
+print(*[os.get_inheritable(end) for end in (1, *ends)])
+"""
+
+
+def test_what_a_worker_starts_inherits_no_file_of_it() -> None:
+    """The pipe by which its end is seen would stay open: 5 s for each worker."""
+    said = subprocess.run(
+        [sys.executable, "-c", KEPT], capture_output=True, text=True, check=True, timeout=300
+    ).stdout
+    assert said == "True False False\n"
 
 
 def test_two_devices_or_two_halves_learn_what_one_does(data: DataSet, tmp_path: Path) -> None:
@@ -341,6 +381,19 @@ def test_only_droplets_of_the_sizes_wanted_have_labels_and_some_images_are_negat
         levels.append(int(shown[0, 0, 0]))
     assert set(levels) == {40, 215}
     assert levels.count(215) == pytest.approx(60, abs=20)
+
+
+def test_a_grey_image_is_changed_as_three_equal_channels_are() -> None:
+    plane = np.random.default_rng(1).integers(0, 256, (90, 120), np.uint8)
+    how = replace(Augmentation.of(read_cfg(SMALL), (64, 64), None), negatives=0.5)
+    boxes = np.array([[0.5, 0.5, 0.2, 0.3]])
+    for seed in range(4):
+        one, other = (
+            augment(np.random.default_rng(seed), image, np.zeros(1, np.int64), boxes, how, 1.0)
+            for image in (grey_frame(plane), np.ascontiguousarray(grey_frame(plane)))
+        )
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
 
 
 @pytest.mark.parametrize("window", [(416, 224), (832, 416)])

@@ -79,6 +79,11 @@ def identify(path: Path) -> Darknet:
         return Darknet(path, "hank-ai", found[1].strip())
     if "Not an option: version" in answer:
         return Darknet(path, "AlexeyAB", "which names no version")
+    if found := re.search(r"CUDA (?:status )?Error.*", answer):
+        raise DroptrackError(
+            f"{path}: is built for a GPU and finds none that works: {found[0].strip()!r}; mend the "
+            "driver, or build Darknet with GPU=0"
+        )
     raise DroptrackError(f"{path}: is no Darknet: `version` answers {answer[:80]!r}")
 
 

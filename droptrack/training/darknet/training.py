@@ -135,7 +135,8 @@ class DarknetTraining:
                     yield replace(step, mean_ap=mean_ap[1])
                     if log.is_stale(self.settings.patience):
                         return
-            self._check_end(process, iteration, at_map=with_map and 0 < next_map <= iteration)
+            last = iteration >= self.iterations
+            self._check_end(process, iteration, with_map and (last or 0 < next_map <= iteration))
             if not with_map:
                 for mean_ap in self._last_scores(scorer):
                     log.set_mean_ap(*mean_ap)

@@ -1,10 +1,11 @@
 """The devices that PyTorch trains on, and one process for each."""
 
 import datetime
+import os
 import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -90,6 +91,18 @@ def leave_signals_to_the_first_process() -> None:
     """Ignore what ends a training: all its processes get the signal, the first ends the others."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
+
+
+def leave_open_files_to_no_other() -> None:
+    """Have no program that this process starts inherit its files, a pipe of its parent among them.
+
+    PyTorch starts one that shares memory between processes. It lives longer than a worker, whose
+    end the parent sees by that pipe: it would wait for 5 s for each.
+    """
+    for name in os.listdir("/dev/fd"):
+        with suppress(OSError):  # that of the listing itself is closed
+            if int(name) > 2:
+                os.set_inheritable(int(name), False)
 
 
 def _be_rank(

@@ -1,8 +1,10 @@
 """Images of a Darknet data set -> augmented batches for training."""
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import overload
 
 import cv2
 import numpy as np
@@ -11,11 +13,15 @@ from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
 from droptrack.data.arrays import Bools, Float32s, Floats, Pixels, Rows
-from droptrack.data.darknet_dataset import DataSet, read_image, read_labels
+from droptrack.data.darknet_dataset import DataSet, read_frame, read_labels
+from droptrack.data.frames import Frame, grey_plane
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg
 from droptrack.training.config import DrawImage
-from droptrack.training.pytorch.devices import leave_signals_to_the_first_process
+from droptrack.training.pytorch.devices import (
+    leave_open_files_to_no_other,
+    leave_signals_to_the_first_process,
+)
 
 # image (3, H, W) uint8 RGB; ground truths (N, 5) class, relative box
 Sample = tuple[Tensor, Tensor]
@@ -78,16 +84,21 @@ class TrainingImages(Dataset[Sample]):
     """
 
     def __init__(self, data: DataSet, augmentation: Augmentation, draw: DrawImage | None) -> None:
-        self.data, self.augmentation, self.draw = data, augmentation, draw
+        self.paths, self.n_classes, self.source = (
+            SharedPaths(data.train),
+            len(data.names),
+            data.path,
+        )
+        self.augmentation, self.draw = augmentation, draw
 
     def __len__(self) -> int:
-        return len(self.data.train)
+        return len(self.paths)
 
     def __getitem__(self, wanted: tuple[int, int, float]) -> Sample:
         index, seed, factor = wanted
         rng = np.random.default_rng(seed)
         if self.draw is None:
-            image, class_ids, boxes = self._read(self.data.train[index])
+            image, class_ids, boxes = self._read(self.paths[index])
         else:
             image, boxes_px = self.draw(rng)
             class_ids = np.zeros(len(boxes_px), np.int64)
@@ -95,30 +106,63 @@ class TrainingImages(Dataset[Sample]):
         augmented, truths = augment(rng, image, class_ids, boxes, self.augmentation, factor)
         return torch.from_numpy(augmented).permute(2, 0, 1), torch.from_numpy(truths)
 
-    def _read(self, path: Path) -> tuple[Pixels, Rows, Floats]:
+    def _read(self, path: Path) -> tuple[Frame, Rows, Floats]:
         class_ids, boxes = read_labels(path)
-        n_classes = len(self.data.names)
-        if (class_ids >= n_classes).any():
+        if (class_ids >= self.n_classes).any():
             raise DroptrackError(
                 f"{path.with_suffix('.txt')}: has class {class_ids.max()}, but the data set "
-                f"{n_classes} classes, counted from 0"
+                f"{self.n_classes} classes, counted from 0"
             )
-        return read_image(path), class_ids, boxes
+        return read_frame(path), class_ids, boxes
+
+
+class SharedPaths(Sequence[Path]):
+    """Paths in memory that processes share: sent to one, they are a few bytes.
+
+    A process that is spawned reads what it is sent once it has imported all it needs; until then
+    the one that sends more than fits into a pipe waits, and starts no other.
+
+    >>> list(SharedPaths([Path("a.png"), Path("b/c.png")]))
+    [PosixPath('a.png'), PosixPath('b/c.png')]
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        names = [os.fsencode(path) for path in paths]
+        self._ends = torch.tensor(np.cumsum([0, *map(len, names)]))
+        self._names = torch.from_numpy(np.frombuffer(b"".join(names), np.uint8).copy())
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> Path: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Path]: ...
+
+    def __getitem__(self, index: int | slice) -> Path | list[Path]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(len(self))[index]]
+        begin, end = self._ends[range(len(self))[index] :][:2].tolist()
+        return Path(os.fsdecode(self._names[begin:end].numpy().tobytes()))
 
 
 def augment(
     rng: np.random.Generator,
-    image: Pixels,
+    image: Frame,
     class_ids: Rows,
     boxes_relative: Floats,
     how: Augmentation,
     factor: float,
 ) -> tuple[Pixels, Float32s]:
-    """One image (H, W, 3) BGR, changed at random, and its ground truths.
+    """One image (H, W, 3) BGR, changed at random, and its ground truths; a grey one sooner.
 
     Returns (window h, window w, 3) RGB and (N, 5): class, box relative to the window. Boxes are cut
     at the window's edges; those of which less than MIN_VISIBLE is left are dropped.
     """
+    plane = grey_plane(image)
+    if plane is not None:
+        image = np.asarray(plane)
     height, width = image.shape[:2]
     target = np.array(how.size) * factor
     if how.droplets is not None:
@@ -182,14 +226,16 @@ def _visible(class_ids: Rows, centres: Floats, sizes: Floats, window: Floats) ->
 
 
 def _recolour(rng: np.random.Generator, image: Pixels, how: Augmentation) -> Pixels:
-    """Change exposure, saturation and hue as Darknet does; BGR -> RGB."""
+    """Change exposure, saturation and hue as Darknet does; grey (H, W) or BGR -> RGB."""
     exposure, saturation = (
         float(limit ** rng.uniform(-1, 1)) for limit in (how.exposure, how.saturation)
     )
     hue = rng.uniform(-how.hue, how.hue)
-    if (image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all():
-        # grey: nothing else can change
-        return np.asarray(cv2.convertScaleAbs(image, alpha=exposure), np.uint8)
+    if image.ndim == 3 and (image == image[..., :1]).all():
+        image = image[..., 0]
+    if image.ndim == 2:  # grey: nothing else can change
+        grey = cv2.convertScaleAbs(image, alpha=exposure)
+        return np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), np.uint8)
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV).astype(np.float32)
     hsv[..., 0] = (hsv[..., 0] + 180 * hue) % 180
     hsv[..., 1:] *= [saturation, exposure]
@@ -254,6 +300,7 @@ def collate(samples: Sequence[Sample]) -> tuple[Tensor, Tensor]:
 def quiet_worker(_: int) -> None:
     """Have one of the processes that prepare images compute in one thread."""
     leave_signals_to_the_first_process()
+    leave_open_files_to_no_other()
     share_by_files()
     cv2.setNumThreads(1)
 

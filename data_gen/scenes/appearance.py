@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_gen.scenes.distances import Patch
+from data_gen.scenes.outlines import Outline
 from data_gen.scenes.surroundings import texture
 from droptrack.data.arrays import Float32s
 
@@ -81,25 +81,16 @@ def random_look(rng: np.random.Generator, background: float) -> Look:
     )
 
 
-def paint(
-    canvas: Float32s,
-    patch: Patch,
-    distance: Float32s,
-    look: Look,
-    radius: float,
-    rim: Float32s | float,
-    rng: np.random.Generator,
-) -> None:
-    """Draw a droplet onto the canvas (H, W) of grey levels, in place.
-
-    `rim`: how strong its rim is, 0 to 1, everywhere or at each pixel of the patch.
-    """
-    soft = np.float32(look.soft)
+def paint(canvas: Float32s, outline: Outline, look: Look, rng: np.random.Generator) -> None:
+    """Draw a droplet onto the canvas (H, W) of grey levels, in place."""
+    patch, distance, radius = outline.patch, outline.distance, outline.radius
+    soft = np.float32(look.soft + outline.defocus)
     inside = np.clip(np.float32(0.5) - distance / soft, 0, 1)
     width = np.float32(look.rim_width(radius))
     vary = 1 + rng.normal(0, 0.06)
     levels = inside * np.float32(look.fill * vary)
-    ring = rim * np.clip((width / 2 - np.abs(distance + width / 2)) / soft + np.float32(0.5), 0, 1)
+    ring = np.clip((width / 2 - np.abs(distance + width / 2)) / soft + np.float32(0.5), 0, 1)
+    ring *= outline.rim * (width / (width + np.float32(outline.defocus)))
     strength: Float32s | float = 1.0
     middle_x, middle_y = patch.x.mean(), patch.y.mean()
     if look.shading:

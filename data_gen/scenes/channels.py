@@ -7,9 +7,9 @@ import numpy as np
 
 from data_gen.scenes.distances import Patch, patch_around, stadium_distance
 from data_gen.scenes.inclusions import paint_suspended
-from data_gen.scenes.outlines import SHAPE, Outline, log_uniform
+from data_gen.scenes.outlines import SHAPE, Outline
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
-from data_gen.scenes.surroundings import draw_line, texture
+from data_gen.scenes.surroundings import draw_line, log_uniform, texture
 from droptrack.data.arrays import Float32s, Floats
 
 REACH = 1.1 * WIDTH  # px from a channel's middle, beyond which nothing of it is in the image
@@ -108,12 +108,32 @@ def _side_channels(rng: np.random.Generator, main: Channel) -> tuple[list[Channe
 
 
 def empty(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
-    """Channels, lines and structures without droplets."""
-    if rng.random() < 0.7:
+    """Channels, grids of walls, lines and structures without droplets."""
+    kind = rng.random()
+    if kind < 0.5:
         for _ in plugs(rng, canvas, suspensions=0):
             pass  # nothing is drawn of them, only their channels
+    elif kind < 0.75:
+        _draw_grid(rng, canvas)
     _draw_structures(rng, canvas)
+    if rng.random() < 0.5:  # what is out of focus, or a rough wall: blobs, but no outlines
+        canvas += texture(rng, SHAPE, log_uniform(rng, 3, 100)) * np.float32(rng.uniform(0, 30))
     yield from ()
+
+
+def _draw_grid(rng: np.random.Generator, canvas: Float32s) -> None:
+    """Channels at one distance, and others across them: between them are squares and diamonds."""
+    width, angle = log_uniform(rng, 8, 120), rng.uniform(0, np.pi)
+    turn = np.pi / 2 if rng.random() < 0.6 else rng.uniform(0.5, 2.6)
+    middle, layers = rng.uniform(0, 1, 2) * [WIDTH, HEIGHT], []
+    for direction, n in ((angle, rng.integers(1, 6)), (angle + turn, rng.integers(1, 6))):
+        step = width * rng.uniform(1.1, 3)
+        one = Channel(centre=middle, angle=direction, width=width)
+        shifts = (np.arange(n) - (n - 1) / 2) * step
+        layers.append([replace(one, centre=middle + one.across * s) for s in shifts])
+    if rng.random() < 0.3:  # all open into one another
+        layers = [[channel for layer in layers for channel in layer]]
+    draw_walls(canvas, layers, random_walls(rng), float(rng.normal(0, 12)))
 
 
 def _train(rng: np.random.Generator, channel: Channel, junction: float | None) -> Iterator[Outline]:

@@ -3,6 +3,7 @@
 scattered   droplets of one or of many sizes, apart or overlapping
 packing     droplets of about one size, close together, with a free surface
 foam        droplets of many sizes pressed into polygons
+suspension  droplets of many sizes at many depths, over others and out of focus
 plugs       plugs in a channel with walls, junctions and surroundings
 empty       all that surrounds droplets, without any
 
@@ -20,14 +21,16 @@ from data_gen.scenes.appearance import paint, random_look
 from data_gen.scenes.channels import empty, plugs
 from data_gen.scenes.distances import box_of
 from data_gen.scenes.inclusions import paint_inside
-from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered
+from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered, suspension
 from data_gen.scenes.scene_kinds import Scene
 from data_gen.scenes.surroundings import add_dirt, add_text, background, field_stop, vignette
 from droptrack.data.arrays import Bools, Float32s, Floats, Pixels
 from droptrack.data.degradation import add_noise, blur, to_pixels
+from droptrack.data.frames import grey_frame
+from droptrack.data.normalisation import GENTLE, normalisation_for
 
 MIN_VISIBLE = 0.3
-MIN_SIDE = 3.0  # px, of a box
+MIN_SIDE = 6.0  # px, of a box: smaller droplets cannot be told from dust
 
 
 Arrangement = Callable[[np.random.Generator, Float32s], Iterator[Outline]]
@@ -40,7 +43,7 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     stop = field_stop(rng, SHAPE) if rng.random() < (0.25 if name == "plugs" else 0.1) else None
     boxes = []
     for outline in ARRANGEMENTS[name](rng, canvas):
-        paint(canvas, outline.patch, outline.distance, look, outline.radius, outline.rim, rng)
+        paint(canvas, outline, look, rng)
         if rng.random() < look.inclusions:
             paint_inside(canvas, outline, rng)
         box = visible_box(outline, stop)
@@ -52,9 +55,9 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     if stop is not None:
         dark = np.float32(rng.uniform(0, 40))
         canvas[~stop] = dark
-    if rng.random() < 0.06:
+    if rng.random() < (0.4 if name == "empty" else 0.1):
         add_text(rng, canvas)
-    image = _photograph(rng, canvas)
+    image = _as_shown(_photograph(rng, canvas, faint=0.4 if name == "empty" else 0.12))
     return Scene(image, np.array(boxes).reshape(-1, 4))
 
 
@@ -74,8 +77,18 @@ def visible_box(outline: Outline, stop: Bools | None) -> Floats | None:
     return np.concatenate([(edges[:2] + edges[2:]) / 2, edges[2:] - edges[:2]])
 
 
-def _photograph(rng: np.random.Generator, canvas: Float32s) -> Pixels:
-    """Optics and sensor: focus, motion, contrast, brightness, noise, compression."""
+def _as_shown(image: Pixels) -> Pixels:
+    """What a network is shown of an image (H, W): faint ones are stretched, and their noise."""
+    frame = grey_frame(image)
+    shown = normalisation_for([frame], stretching=GENTLE).shown(frame)
+    return np.ascontiguousarray(shown[..., 0])
+
+
+def _photograph(rng: np.random.Generator, canvas: Float32s, *, faint: float) -> Pixels:
+    """Optics and sensor: focus, motion, contrast, brightness, noise, compression.
+
+    `faint`: share of images of a low contrast.
+    """
     levels = np.asarray(canvas, np.float64)
     if rng.random() < 0.7:
         levels = blur(levels, rng.uniform(0.4, 2.4))
@@ -86,8 +99,8 @@ def _photograph(rng: np.random.Generator, canvas: Float32s) -> Pixels:
             cv2.filter2D(levels, -1, kernel if rng.random() < 0.7 else kernel.T), np.float64
         )
     contrast = rng.uniform(0.35, 1.1) if rng.random() < 0.6 else 1.0
-    if rng.random() < 0.12:
-        contrast = rng.uniform(0.12, 0.35)
+    if rng.random() < faint:
+        contrast = rng.uniform(0.08, 0.35)
     middle = float(np.clip(levels.mean(), 40, 215))
     levels = (levels - middle) * contrast + middle
     if rng.random() < 0.2:  # so that much is clipped, white or black
@@ -107,6 +120,7 @@ ARRANGEMENTS: dict[str, Arrangement] = {
     "scattered": scattered,
     "packing": packing,
     "foam": foam,
+    "suspension": suspension,
     "plugs": plugs,
     "empty": empty,
 }

@@ -5,16 +5,18 @@ An arrangement yields one `Outline` a droplet; what is drawn of it is decided el
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data_gen.scenes.distances import Patch, cell_distance, ellipse_distance, patch_around
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
+from data_gen.scenes.surroundings import log_uniform
 from droptrack.data.arrays import Float32s, Floats
 
 SHAPE = (HEIGHT, WIDTH)
 MAX_NEIGHBOURS = 12  # of a droplet in a foam
+MAX_DEFOCUS = 0.4  # of a droplet's radius, above which it is a blur without a label
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +24,8 @@ class Outline:
     """One droplet: its patch, and the signed distance (H, W) to its outline.
 
     `radius` px and `centre` (2,) px; `area` px², also of what lies beyond the image; `rim`: how
-    strong the rim is at each pixel; `labelled`: whether it is a droplet, not yet a thread.
+    strong the rim is at each pixel; `labelled`: whether it is a droplet, not yet a thread;
+    `defocus`: px by which its edges are blurred, beside those of droplets in focus.
     """
 
     patch: Patch
@@ -32,17 +35,18 @@ class Outline:
     area: float
     rim: Float32s | float = 1.0
     labelled: bool = True
+    defocus: float = 0.0
 
 
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """A random number whose logarithm is uniform."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+def ellipse(
+    rng: np.random.Generator, centre: Floats, radius: float, oblong: float, margin: float = 4.0
+) -> Outline:
+    """An ellipse as large as a circle of the radius, `oblong` times as long as wide, turned.
 
-
-def ellipse(rng: np.random.Generator, centre: Floats, radius: float, oblong: float) -> Outline:
-    """An ellipse as large as a circle of the radius, `oblong` times as long as wide, turned."""
+    Its patch has `margin` px around it.
+    """
     a, b = radius * np.sqrt(oblong), radius / np.sqrt(oblong)
-    patch = patch_around(SHAPE, centre, a + 4)
+    patch = patch_around(SHAPE, centre, a + margin)
     angle = float(rng.uniform(0, np.pi))
     distance = ellipse_distance(patch, centre, a, b, angle)
     return Outline(
@@ -69,6 +73,21 @@ def scattered(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
         placed = np.vstack([placed, [*centre, radius]])
         oblong = 1.0 if rng.random() < 0.6 else float(rng.uniform(1, 1.8))
         yield ellipse(rng, centre, radius, oblong)
+
+
+def suspension(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
+    """Droplets or bubbles of all sizes at all depths: many over others, some out of focus."""
+    typical = log_uniform(rng, 4, 25)
+    spread = rng.uniform(0.3, 0.9)
+    depth = rng.uniform(0, 0.35)
+    n = int(rng.uniform(0.05, 0.5) * WIDTH * HEIGHT / (np.pi * typical**2 * np.exp(2 * spread**2)))
+    for _ in range(min(n, 450) + 1):
+        radius = float(np.clip(typical * np.exp(rng.normal(0, spread)), 3, 250))
+        defocus = radius * abs(rng.normal(0, depth))
+        centre = rng.uniform(0, [WIDTH, HEIGHT])
+        oblong = 1.0 if rng.random() < 0.7 else float(rng.uniform(1, 1.5))
+        droplet = ellipse(rng, centre, radius, oblong, margin=4 + defocus)
+        yield replace(droplet, defocus=defocus, labelled=defocus < MAX_DEFOCUS * radius)
 
 
 def packing(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:

@@ -21,6 +21,11 @@ def background(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Float3
     return canvas, level
 
 
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A random number whose logarithm is uniform."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
 def texture(rng: np.random.Generator, shape: tuple[int, int], period: float) -> Float32s:
     """Smooth random values (H, W) of about unit size that change within `period` px."""
     coarse = (max(2, round(shape[0] / period)), max(2, round(shape[1] / period)))
@@ -58,18 +63,33 @@ def add_dirt(rng: np.random.Generator, canvas: Float32s) -> None:
 
 
 def add_text(rng: np.random.Generator, canvas: Float32s) -> None:
-    """What cameras write into their images: a time stamp, a scale bar; in place."""
+    """What cameras write into their images: time stamps, scale bars, some in a box; in place."""
     height, width = canvas.shape
-    level = float(rng.choice([0.0, 255.0]))
-    corner = (int(rng.integers(4, width // 2)), int(rng.choice([30, height - 12])))
-    digits = "".join(str(d) for d in rng.integers(0, 10, 6))
-    text = f"{digits[:2]}:{digits[2:4]}.{digits[4:]} {rng.choice(['ms', 'fps', 'um', ''])}"
     written = np.zeros(canvas.shape, np.uint8)  # OpenCV 5 writes on bytes only
-    cv2.putText(written, text, corner, int(rng.integers(0, 4)), rng.uniform(0.4, 1.1), 1, 1)
+    font, size = int(rng.integers(0, 4)), log_uniform(rng, 0.4, 2.0)
+    stroke = int(rng.integers(1, 2 + round(1.5 * size)))
+    corner = (int(rng.integers(4, width // 2)), int(rng.choice([30 * max(1, size), height - 12])))
+    digits = "".join(str(d) for d in rng.integers(0, 10, 9))
+    text = str(
+        rng.choice(
+            [
+                f"{digits[:2]}:{digits[2:4]}.{digits[4:6]}",
+                f"{digits[:4]} {rng.choice(['ms', 'fps', 'um', 'x'])}",
+                f"-{digits[0]}.{digits[1:4]} s  {digits[4:]}",
+                f"{rng.choice(['Frame', 'Cam', 'Exp', 'Sample'])} {digits[:3]}",
+            ]
+        )
+    )
+    cv2.putText(written, text, corner, font, size, 1, stroke, cv2.LINE_8)
     if rng.random() < 0.5:
         x, length = corner[0], int(rng.integers(40, 200))
         cv2.line(written, (x, corner[1] + 8), (x + length, corner[1] + 8), 1, 3)
-    canvas[written > 0] = np.float32(level)
+    dark = bool(rng.random() < 0.5)
+    if rng.random() < 0.25:  # in a box of the other colour
+        rows, columns = np.nonzero(written)
+        box = slice(max(0, rows.min() - 4), rows.max() + 5), slice(0, columns.max() + 5)
+        canvas[box] = np.float32(255 if dark else 0)
+    canvas[written > 0] = np.float32(0 if dark else 255)
 
 
 def field_stop(rng: np.random.Generator, shape: tuple[int, int]) -> Bools:

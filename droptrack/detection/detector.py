@@ -9,10 +9,10 @@ import cv2
 from droptrack.data.arrays import Float32s
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
+from droptrack.data.normalisation import UNCHANGED, Normalisation
 from droptrack.data.region import Region
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.decoding import select
-from droptrack.detection.normalisation import UNCHANGED, Normalisation
 from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 

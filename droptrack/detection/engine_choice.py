@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from droptrack.data.frames import grey_frame
+from droptrack.data.normalisation import UNCHANGED, Normalisation
 from droptrack.data.region import Region
 from droptrack.detection.detector import Detector, Engine, first_line
 from droptrack.detection.engines import opencv_dnn
-from droptrack.detection.normalisation import UNCHANGED, Normalisation
 from droptrack.detection.scale import Canvas
 from droptrack.errors import DroptrackError
 from droptrack.network.darknet_cfg import Cfg, cfg_text

@@ -33,6 +33,7 @@ MAX_AREA_PX = 9e6  # of an input
 MARGIN_PX = 2.0  # of the input, between a whole droplet and a tile's edge
 MAX_TILES = 6  # looked at in a frame, at each scale
 KNOWN_PX = (12.0, 120.0)  # sizes of droplets in the input
+MIN_SEEN_PX = 7.0  # of the frame: what is smaller may be dust, or a block of JPEG
 MIN_SCORE = 0.1  # of a detection that counts at all
 SURE = 0.4  # of one that a user would get
 SAME_IOU = 0.5  # of two boxes of one droplet
@@ -303,6 +304,7 @@ def _evidence(
             for scale, look in looks.items()
         ]
     )
+    shown &= sides >= MIN_SEEN_PX
     mean = (scores * shown).sum(axis=0) / np.maximum(shown.sum(axis=0), MIN_SHOWN)
     return np.asarray(np.where(_inside_others(boxes, mean), 0.0, mean))
 

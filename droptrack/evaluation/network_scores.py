@@ -7,10 +7,10 @@ from pathlib import Path
 from droptrack.data.darknet_dataset import DataSet, read_ground_truth, read_image, read_scenes
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
+from droptrack.data.normalisation import Normalisation
 from droptrack.data.report import Report, Value
 from droptrack.detection.detector import Detector
 from droptrack.detection.engine_choice import Backend, Network, Precision, choose_detector
-from droptrack.detection.normalisation import Normalisation
 from droptrack.evaluation.average_precision import (
     MAX_IOU,
     MIN_SCORE,

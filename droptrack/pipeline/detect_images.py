@@ -14,6 +14,7 @@ import PIL.Image
 from droptrack.data.files import replacing
 from droptrack.data.formats.contours import ContourFile, ContourWriter, check_contours
 from droptrack.data.frames import Frame
+from droptrack.data.normalisation import UNCHANGED, normalisation_for
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
 from droptrack.data.sources.image_files import TIFF_SUFFIXES
@@ -21,7 +22,6 @@ from droptrack.data.sources.microscopy import MICROSCOPY_SUFFIXES
 from droptrack.data.sources.opencv_names import printable
 from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
 from droptrack.detection.engine_choice import Engines
-from droptrack.detection.normalisation import UNCHANGED, normalisation_for
 from droptrack.errors import DroptrackError
 from droptrack.measurement.shapes import DEFINITION
 from droptrack.network.bundled import find_network

@@ -7,19 +7,19 @@ from pathlib import Path
 
 from droptrack.compiled import explained
 from droptrack.data.frames import Frame
-from droptrack.data.region import Region
-from droptrack.data.report import Value
-from droptrack.detection import decoding, scale_choice
-from droptrack.detection.detector import Detector, Finder
-from droptrack.detection.engine_choice import Engines, Network, choose_detector
-from droptrack.detection.model_choice import MIN_AGREEMENT, agreement
-from droptrack.detection.normalisation import (
+from droptrack.data.normalisation import (
     FULL,
     GENTLE,
     Normalisation,
     Stretching,
     normalisation_for,
 )
+from droptrack.data.region import Region
+from droptrack.data.report import Value
+from droptrack.detection import decoding, scale_choice
+from droptrack.detection.detector import Detector, Finder
+from droptrack.detection.engine_choice import Engines, Network, choose_detector
+from droptrack.detection.model_choice import MIN_AGREEMENT, agreement
 from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError

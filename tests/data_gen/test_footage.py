@@ -1,5 +1,7 @@
 """Droplets as laboratories film them: exact outlines and boxes, labels, nothing by accident."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,10 @@ from data_gen.scenes.distances import (
     stadium_distance,
 )
 from data_gen.scenes.footage import ARRANGEMENTS, footage_scene
+from data_gen.scenes.outlines import MAX_DEFOCUS, ellipse, suspension
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
+from droptrack.data.frames import grey_frame
+from droptrack.data.normalisation import GENTLE, normalisation_for
 
 SHAPE = (HEIGHT, WIDTH)
 CENTRE = np.array([300.3, 200.7])
@@ -79,14 +84,49 @@ def test_a_droplet_is_visible_on_its_background_and_changes_nothing_else(seed: i
     level = float(rng.uniform(15, 245))
     look = random_look(rng, level)
     canvas = np.full(SHAPE, level, np.float32)
-    patch = patch_around(SHAPE, CENTRE, 50)
-    distance = ellipse_distance(patch, CENTRE, 30, 30, 0)
-    paint(canvas, patch, distance, look, 30, 1.0, rng)
+    outline = ellipse(rng, CENTRE, 30.0, 1.0, margin=20)
+    patch, distance = outline.patch, outline.distance
+    paint(canvas, outline, look, rng)
     change = np.abs(canvas[patch.rows, patch.columns] - level)
     assert change.max() > 20
     assert change[distance > 2].max() < 1e-3
     canvas[patch.rows, patch.columns] = level
     assert (canvas == np.float32(level)).all()
+
+
+def test_out_of_focus_a_rim_is_wider_and_fainter_and_the_outline_stays() -> None:
+    """A dark ring on grey: its strength falls to half where it is blurred by its own width."""
+    rng = np.random.default_rng(0)
+    look = replace(
+        random_look(rng, 128), fill=0.0, rim=-100.0, rim_px=4.0, rim_share=0.0,
+        second=0.0, core=0.0, shading=0.0, soft=1.0, texture=0.0,
+    )  # fmt: skip
+    sharp = ellipse(rng, CENTRE, 30.0, 1.0, margin=30)
+    deepest, wide = [], []
+    for outline in (sharp, replace(sharp, defocus=4.0)):
+        canvas = np.full(SHAPE, 128, np.float32)
+        paint(canvas, outline, look, rng)
+        across = 128 - canvas[200, 300:360]  # along x from the centre on
+        deepest.append(across.max())
+        wide.append((across > 2).sum())
+    assert deepest[1] == pytest.approx(0.5 * deepest[0] * 0.9, rel=0.15)
+    assert wide[1] > wide[0] + 2
+
+
+def test_blurs_have_no_label() -> None:
+    rng = np.random.default_rng(2)
+    outlines = [o for _ in range(20) for o in suspension(rng, np.zeros(SHAPE, np.float32))]
+    assert {outline.labelled for outline in outlines} == {True, False}
+    assert all(o.labelled == (o.defocus < MAX_DEFOCUS * o.radius) for o in outlines)
+
+
+def test_faint_images_are_drawn_as_a_network_is_shown_them() -> None:
+    """Contrasts below 32 levels are stretched, up to 4 times: no drawn image is left as faint."""
+    for name in ("empty", "foam"):
+        for seed in range(30):
+            image = footage_scene(name, np.random.default_rng([7, seed])).image
+            frame = grey_frame(image)
+            assert normalisation_for([frame], stretching=GENTLE).levels is None
 
 
 def test_a_channel_is_a_strip_from_its_start_on() -> None:

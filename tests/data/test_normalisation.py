@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from droptrack.data.frames import Frame, grey_frame, grey_plane
-from droptrack.detection.normalisation import GENTLE, UNCHANGED, Normalisation, normalisation_for
+from droptrack.data.normalisation import GENTLE, UNCHANGED, Normalisation, normalisation_for
 
 SIZE = (240, 320)
 

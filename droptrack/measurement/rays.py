@@ -8,7 +8,7 @@ from types import ModuleType
 import numpy as np
 
 from droptrack.compiled import compiled_twin
-from droptrack.data.arrays import Bools, Floats, Rows
+from droptrack.data.arrays import Bools, Floats, Pixels, Rows
 
 N_RAYS = 64
 ANGLES = np.arange(N_RAYS) * (2 * np.pi / N_RAYS)
@@ -28,6 +28,19 @@ FREE, IMAGE, NEIGHBOUR = 0, 1, 2
 def load_loops() -> ModuleType | None:
     """The compiled loops, if there are any."""
     return compiled_twin(__name__)
+
+
+def levels_at(grey: Pixels, places: Floats) -> Floats:
+    """The grey levels at places (..., 2) px, between the centres of four pixels."""
+    height, width = grey.shape
+    u, v = places[..., 0] - 0.5, places[..., 1] - 0.5
+    left = np.clip(np.floor(u), 0, width - 2).astype(np.int64)
+    top = np.clip(np.floor(v), 0, height - 2).astype(np.int64)
+    s, t = np.clip(u - left, 0, 1), np.clip(v - top, 0, 1)
+    flat, corner = grey.ravel(), top * width + left
+    above = flat[corner] * (1 - s) + flat[corner + 1] * s
+    below = flat[corner + width] * (1 - s) + flat[corner + width + 1] * s
+    return np.asarray(above * (1 - t) + below * t)
 
 
 def find_ends(

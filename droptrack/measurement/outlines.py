@@ -19,6 +19,7 @@ from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Bools, Floats, Pixels, Rows
 from droptrack.measurement.rays import (
     DIRECTIONS,
+    FREE,
     IMAGE,
     N_RAYS,
     NEIGHBOUR,
@@ -168,21 +169,24 @@ def _trace(
             inner, outer = flanks[0, rings], flanks[1, rings]
             radii[rings], widths[rings] = _with_shared(inner, outer, limit[rings] == IMAGE)
         else:
-            radii[droplet, ray] = _filled_edges(heights, *between, scale)
+            free = limit[droplet, ray] == FREE
+            radii[droplet, ray] = _filled_edges(heights, *between, scale, free)
     states = np.where(np.isfinite(radii), SEEN, np.where(limit == IMAGE, CUT, UNSEEN))
     widths[rings & np.isnan(widths)] = 0
     return radii, states.astype(np.uint8), widths
 
 
-def _filled_edges(heights: Floats, first: Rows, last: Rows, scales: Floats) -> Floats:
+def _filled_edges(heights: Floats, first: Rows, last: Rows, scales: Floats, free: Bools) -> Floats:
     """The edges (R,), px, of droplets unlike their surroundings; NaN where there is none.
 
     `heights` (R, 2 S) of rays at every half px, `scales` (R, 2): the surroundings' and how far the
-    droplet is above. Inwards from the lowest place between `first` and `last`, or in the first gap
-    there that is about as low as the surroundings: what is behind it may be a wall.
+    droplet is above. Inwards from the lowest place between `first` and `last`; where no neighbour
+    limits a ray, `free` (R,), from that in the first gap that is about as low as the surroundings:
+    what is behind it may be a wall.
     """
     base, contrast = scales.T
-    gap = _first_high(-heights, first, last, np.column_stack([-base - contrast, contrast]))
+    start, stop = _first_high(-heights, first, last, np.column_stack([-base - contrast, contrast]))
+    gap = np.where(free, start, first), np.where(free, stop, last)
     lowest, place, low = _lowest(heights, *gap)
     depth = 1 - np.maximum((low - base) / contrast, 0)
     steps = np.arange(heights.shape[1] // 2)

@@ -68,12 +68,15 @@ def _level(rays: Rays, ray: int, distance: float) -> float:
 
 @njit(**FAST)
 def _filled_edge(
-    rays: Rays, ray: int, first: int, last: int, scale: tuple[float, float], s: Settings
+    rays: Rays, ray: int, ends: Rows, limit: int, scale: tuple[float, float], s: Settings
 ) -> float:
     """The edge, px, of a droplet unlike its surroundings; see outlines.py."""
     profile, sign = rays.profile, 1.0 if scale[1] > 0 else -1.0
     base, contrast = sign * scale[0], sign * scale[1]
-    start, stop = _first_gap(rays, ray, first, last, scale, s)
+    first, last = ends[0], ends[1]
+    start, stop = first, last
+    if limit == FREE:
+        start, stop = _first_gap(rays, ray, first, last, scale, s)
     lowest = _lowest(rays, ray, sign, start, stop)
     place, low = float(lowest), sign * profile[ray, lowest]
     for half in (lowest - 0.5, lowest + 0.5):
@@ -234,7 +237,12 @@ def _with_shared(flanks: Floats, limits: Rows, s: Settings) -> float:
 
 @njit(**FAST)
 def _find_edges(
-    rays: Rays, ends: Rows, scale: tuple[float, float], flanks: Floats, s: Settings
+    rays: Rays,
+    ends: Rows,
+    limits: Rows,
+    scale: tuple[float, float],
+    flanks: Floats,
+    s: Settings,
 ) -> None:
     """Put into `flanks` (K, 2) the edges of a droplet without a ring."""
     for ray in range(len(ends)):
@@ -244,7 +252,7 @@ def _find_edges(
             continue
         for j in range(first, last + 1):
             rays.profile[ray, j] = _level(rays, ray, float(j))
-        flanks[ray, 1] = _filled_edge(rays, ray, first, last, scale, s)
+        flanks[ray, 1] = _filled_edge(rays, ray, ends[ray], limits[ray, 0], scale, s)
 
 
 @njit(**FAST)
@@ -304,7 +312,7 @@ def trace(
             _find_flanks(rays, ends[n], limits[n], levels[n, 2], scale, flanks, s)
             widths[n] = _with_shared(flanks, limits[n], s)
         else:
-            _find_edges(rays, ends[n], scale, flanks, s)
+            _find_edges(rays, ends[n], limits[n], scale, flanks, s)
         for ray in range(k):
             edge = flanks[ray, 1]
             image = limits[n, ray, 1 if rings[n] else 0] == IMAGE

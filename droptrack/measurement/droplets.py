@@ -82,7 +82,7 @@ def measure_droplets(
             outlines=nothing,
             rings=np.zeros(len(boxes), bool),
         )
-    traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes))
+    traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes), region)
     traced = _its_own(traced, boxes, region)
     whole, good = whole_outlines(traced.radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)

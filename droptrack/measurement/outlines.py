@@ -17,12 +17,14 @@ import numpy as np
 
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Bools, Floats, Pixels, Rows
+from droptrack.data.region import Region
 from droptrack.measurement.rays import (
     DIRECTIONS,
     FREE,
     IMAGE,
     N_RAYS,
     NEIGHBOUR,
+    end_at_region,
     find_ends,
     levels_at,
 )
@@ -83,18 +85,25 @@ def load_loops() -> ModuleType | None:
 
 
 def trace_outlines(
-    grey: Pixels, boxes: Floats, origins: Floats, levels: Rows, neighbours: Rows
+    grey: Pixels,
+    boxes: Floats,
+    origins: Floats,
+    levels: Rows,
+    neighbours: Rows,
+    region: Region | None = None,
 ) -> Outlines:
     """Outlines of the droplets in boxes (N, 4) of a grey image (H, W), from origins (N, 2) in them.
 
     `levels` (N, 3) are as of `centre_of_mass.centres_and_levels`, `neighbours` (N, K) as of
-    `centre_of_mass.nearest_boxes`.
+    `centre_of_mass.nearest_boxes`. Rays end at the border of a region.
     """
     n = len(boxes)
     radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
     widths = np.full(n, np.nan)
     if n and min(grey.shape) > 1:
         ends, limits = find_ends((grey.shape[1], grey.shape[0]), boxes, origins, neighbours)
+        if region is not None:
+            end_at_region(ends, limits, origins, region)
         rings, scales = find_rings(grey, boxes, origins, levels, ends, limits)
         if (loops := load_loops()) is not None:
             loops.trace(

@@ -68,19 +68,19 @@ def _level(rays: Rays, ray: int, distance: float) -> float:
 
 @njit(**FAST)
 def _filled_edge(
-    rays: Rays, ray: int, ends: Rows, limit: int, scale: tuple[float, float], s: Settings
+    rays: Rays, ray: int, ends: Rows, limiting: int, scale: tuple[float, float], s: Settings
 ) -> float:
     """The edge, px, of a droplet unlike its surroundings; see outlines.py."""
     profile, sign = rays.profile, 1.0 if scale[1] > 0 else -1.0
     base, contrast = sign * scale[0], sign * scale[1]
-    first, last = ends[0], ends[1]
-    start, stop = first, last
-    if limit == FREE:
-        start, stop = _first_gap(rays, ray, first, last, scale, s)
-    lowest = _lowest(rays, ray, sign, start, stop)
+    first, last = int(ends[0]), int(ends[1])
+    gap = first, last
+    if limiting == FREE:
+        gap = _first_gap(rays, ray, first, last, scale, s)
+    lowest = _lowest(rays, ray, sign, gap[0], gap[1])
     place, low = float(lowest), sign * profile[ray, lowest]
-    for half in (lowest - 0.5, lowest + 0.5):
-        if start <= half <= stop:
+    for half in (place - 0.5, place + 0.5):
+        if gap[0] <= half <= gap[1]:
             h = sign * _level(rays, ray, half)
             if h < low:
                 place, low = half, h

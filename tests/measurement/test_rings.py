@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from data_gen.scenes.shapes import draw_ellipses, ellipse_boxes
 from droptrack.data.frames import grey_frame
+from droptrack.data.region import Region
 from droptrack.measurement.droplets import Measured, measure_droplets
 from droptrack.measurement.rings import noise_of
 from droptrack.measurement.shapes import COLUMNS
@@ -65,6 +66,26 @@ def test_all_plugs_of_a_video_have_one_kind_of_edge_whatever_their_boxes(
         assert (found.rings[known] == (rim != 0)).all(), seed
         expected = np.sqrt(4 / np.pi * AREA)
         assert diameters(found)[known & whole] == pytest.approx(expected, rel=0.03), seed
+
+
+def test_rays_that_end_in_a_field_stop_tell_nothing_of_rings() -> None:
+    """Plugs beside the stop, with a bright line within the dark rim, as a lens makes it."""
+    stop = np.ones((400, 1200), bool)
+    stop[:, :145] = False
+    for seed in range(4):
+        rng = np.random.default_rng([12, seed])
+        place = np.array([rng.uniform(300, 310)])
+        canvas = channel(place, rim=-100, inside=0, wall=-90)
+        x, y = np.mgrid[:1200, :400] + 0.5
+        away = np.abs(np.hypot(np.maximum(np.abs(x - place) - 76, 0), y - 200) - 60) - 3
+        canvas += 110 * covered(away).T
+        canvas += rng.normal(0, 3, canvas.shape)
+        canvas[~stop] = 4
+        boxes = np.array([[place[0], 200, 330, 2 * HALF[1] * rng.uniform(0.85, 1)]])
+        frame = grey_frame(canvas.clip(0, 255).astype(np.uint8))
+        found = measure_droplets(frame, boxes, region=Region(stop))
+        assert found.rings.all()
+        assert diameters(found) == pytest.approx(np.sqrt(4 / np.pi * AREA), rel=0.03)
 
 
 @pytest.mark.parametrize("sigma", [0, 4, 8, 12])

@@ -36,7 +36,7 @@ SETTINGS = (
     *(MIN_RISE, MIN_RISEN_RINGS, MIN_RISEN, BARE, SECOND, OTHER, BEYOND),
     *(float(EVERY), float(EVERY_OF_LONG)),
 )
-N_FOR_NOISE = 10_000  # pixels
+N_FOR_NOISE = 5_000  # pixels
 MEDIAN = 0.6745 * np.sqrt(6)  # of the second differences of normal numbers, without their signs
 
 
@@ -76,7 +76,8 @@ def noise_of(grey: Pixels) -> float:
     height, width = grey.shape
     if width < 3:
         return 0.0
-    lines = grey[:: max(1, height * width // N_FOR_NOISE)].astype(np.int16)
+    step = max(1, min(height, height * width // N_FOR_NOISE))
+    lines = grey[step // 2 :: step].astype(np.int16)
     second = np.abs(lines[:, :-2] - 2 * lines[:, 1:-1] + lines[:, 2:]).ravel()
     below = np.cumsum(np.bincount(second)) / len(second)
     middle = int(np.searchsorted(below, 0.5))

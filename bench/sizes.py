@@ -10,8 +10,8 @@ import typer
 from bench.drawn import DROPLETS, SIZE
 from data_gen.scenes import scene_kinds
 from data_gen.scenes.shapes import Canvas, draw_ellipses, ellipse_boxes
+from droptrack.data import degradation
 from droptrack.data.arrays import Floats
-from droptrack.data.degradation import degrade
 from droptrack.data.frames import grey_frame
 from droptrack.measurement.droplets import load_loops, measure_droplets
 from droptrack.measurement.shapes import COLUMNS
@@ -27,9 +27,11 @@ def main(images: int = 20, turns: int = 200) -> None:
     load_loops()
     print("image | droplets | measured | rmse px | rmse % | bias % | rms of D")
     for kind in ("a", "b", "c"):
-        for spoilt in (False, True):
-            name = f"scene {kind}{', degraded' if spoilt else ''}"
-            _print(name, list(_scenes(kind, images, degraded=spoilt)))
+        _print(f"scene {kind}", list(_scenes(kind, images, degraded=False)))
+        _print(f"scene {kind}, degraded", list(_scenes(kind, images, degraded=True)))
+        with patch.object(degradation, "blur", lambda image, sigma_px: image):
+            in_focus = list(_scenes(kind, images, degraded=True))
+        _print(f"scene {kind}, degraded but in focus", in_focus)
     for gap in (1, 2, 4):
         _print(f"packing, {gap} px apart", [_packing(gap, ring=False)])
         _print(f"packing of rings, {gap} px apart", [_packing(gap, ring=True)])
@@ -73,7 +75,7 @@ def _scenes(kind: str, n: int, *, degraded: bool) -> Iterator[tuple[Canvas, Floa
         rng = np.random.default_rng([5, seed])
         with patch.object(scene_kinds, "draw_ellipses", draw):
             image = np.asarray(scene_kinds.SCENES[kind](rng).image)
-        yield (degrade(image, rng) if degraded else image), np.concatenate(caught)
+        yield (degradation.degrade(image, rng) if degraded else image), np.concatenate(caught)
 
 
 def _packing(gap: float, *, ring: bool) -> tuple[Canvas, Floats]:

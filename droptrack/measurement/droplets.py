@@ -7,7 +7,7 @@ import numpy as np
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.frames import Frame
 from droptrack.data.region import Region
-from droptrack.measurement import centre_of_mass, outlines, rays
+from droptrack.measurement import centre_of_mass, outlines, rays, rings
 from droptrack.measurement.centre_of_mass import centres_and_levels, grey_of, nearest_boxes
 from droptrack.measurement.outlines import Outlines, trace_outlines
 from droptrack.measurement.rays import DIRECTIONS, N_RAYS
@@ -50,6 +50,7 @@ def load_loops() -> None:
     centre_of_mass.load_loops()
     outlines.load_loops()
     rays.load_loops()
+    rings.load_loops()
 
 
 def measure_droplets(
@@ -81,7 +82,7 @@ def measure_droplets(
             outlines=nothing,
             rings=np.zeros(len(boxes), bool),
         )
-    traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes))
+    traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes), region)
     traced = _its_own(traced, boxes, region)
     whole, good = whole_outlines(traced.radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)

@@ -17,22 +17,24 @@ import numpy as np
 
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Bools, Floats, Pixels, Rows
-from droptrack.measurement.rays import DIRECTIONS, FREE, IMAGE, N_RAYS, NEIGHBOUR, find_ends
+from droptrack.data.region import Region
+from droptrack.measurement.rays import (
+    DIRECTIONS,
+    FREE,
+    IMAGE,
+    N_RAYS,
+    NEIGHBOUR,
+    end_at_region,
+    find_ends,
+    levels_at,
+)
+from droptrack.measurement.rings import find_rings
 
-MIN_CONTRAST = 12.0  # grey levels of a ring
-RING_SHARE = 0.5  # of the difference of inside and outside that a ring goes beyond them, at least
-NOISE = 4.0  # by how many median deviations of what is around the highest of a ray is above it
-MIN_FREE = 0.25  # share of rays that must reach the surroundings for a ring to be told by them
-MIN_FREE_FILLED = 0.5  # the same where the droplet differs from its surroundings in any case
 MIN_DEPTH = 0.15  # share of the height by which a film must be darker than its droplets
 MIN_RISE = 0.5  # height of what is behind a film
-# share of rays between crowded droplets on which there is something else: where most of the others,
-# those that stand free, have rings; and where they have none
-MIN_RISEN_RINGS, MIN_RISEN = 0.05, 0.5
-BARE = 0.75  # quantile of levels of which some are half on a dark ring: what is between rings
 MIN_PEAK = 0.3  # of the ring's height elsewhere that a ray's must have,
-FIRST_PEAK = 0.8  # and from which on it is the ring, though what is behind it may be higher
-SECOND = 0.5  # of the higher of a bright and a dark ring: the other counts if it lies further out
+FIRST_PEAK = 0.8  # and from which on it is the ring, though what is behind it may be higher;
+# of the height of what is filled: as low as that its surroundings are
 MIN_FALL = 0.5  # of a ring's height by which a gap behind it must be below it, to be one
 LOOK_PX = 2  # how much further a gap before a neighbour is looked for, and how much less the ring
 MIN_WIDTHS = 0.125  # share of rays that must show both flanks of a ring, for its width
@@ -45,22 +47,7 @@ THIN = np.array(
         [0.470, 0.391, 0.281, 0.221, 0.135, 0.090, 0.047, 0.024, 0.004, 0.0],
     ]
 )
-SETTINGS = (
-    *(
-        MIN_CONTRAST,
-        RING_SHARE,
-        NOISE,
-        MIN_FREE,
-        MIN_FREE_FILLED,
-        MIN_DEPTH,
-        MIN_RISE,
-        MIN_RISEN_RINGS,
-        MIN_RISEN,
-        BARE,
-        MIN_PEAK,
-    ),
-    *(FIRST_PEAK, SECOND, MIN_FALL, float(LOOK_PX), MIN_WIDTHS),
-)
+SETTINGS = MIN_DEPTH, MIN_RISE, MIN_PEAK, FIRST_PEAK, MIN_FALL, float(LOOK_PX), MIN_WIDTHS
 SAMPLES_AT_ONCE = 2_000_000
 UNSEEN, SEEN, CUT = 0, 1, 2
 
@@ -98,26 +85,40 @@ def load_loops() -> ModuleType | None:
 
 
 def trace_outlines(
-    grey: Pixels, boxes: Floats, origins: Floats, levels: Rows, neighbours: Rows
+    grey: Pixels,
+    boxes: Floats,
+    origins: Floats,
+    levels: Rows,
+    neighbours: Rows,
+    region: Region | None = None,
 ) -> Outlines:
     """Outlines of the droplets in boxes (N, 4) of a grey image (H, W), from origins (N, 2) in them.
 
     `levels` (N, 3) are as of `centre_of_mass.centres_and_levels`, `neighbours` (N, K) as of
-    `centre_of_mass.nearest_boxes`.
+    `centre_of_mass.nearest_boxes`. Rays end at the border of a region.
     """
     n = len(boxes)
     radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
     widths = np.full(n, np.nan)
     if n and min(grey.shape) > 1:
         ends, limits = find_ends((grey.shape[1], grey.shape[0]), boxes, origins, neighbours)
+        if region is not None:
+            end_at_region(ends, limits, origins, region)
+        rings, scales = find_rings(grey, boxes, origins, levels, ends, limits)
         if (loops := load_loops()) is not None:
             loops.trace(
-                *(grey, np.ascontiguousarray(origins), ends, limits),
+                *(grey, np.ascontiguousarray(origins), ends, limits, rings, scales),
                 *(np.ascontiguousarray(levels), DIRECTIONS, loops.Settings(*SETTINGS)),
                 *(radii, states, widths),
             )
         else:
-            radii, states, widths = _trace_all(grey, origins, ends, limits, levels)
+            at_once = max(1, int(SAMPLES_AT_ONCE / 2 / N_RAYS / (ends.max() + LOOK_PX)))
+            for start in range(0, n, at_once):
+                some = slice(start, start + at_once)
+                radii[some], states[some], widths[some] = _trace(
+                    *(grey, origins[some], ends[some], limits[some], rings[some], scales[some]),
+                    levels[some],
+                )
     return Outlines(
         origins=origins,
         radii=_of_thin_rings(radii, widths),
@@ -132,6 +133,8 @@ def _of_thin_rings(radii: Floats, widths: Floats) -> Floats:
     Widths are along the rays, which are oblique to rings that are not round.
     """
     rows = np.flatnonzero((widths > 0) & (widths < 2 * THIN[0, -1]))
+    if not len(rows):
+        return radii
     some = radii[rows]
     slopes = (np.roll(some, -1, axis=1) - np.roll(some, 1, axis=1)) * (N_RAYS / 4 / np.pi)
     cosines = some / np.hypot(some, slopes)
@@ -141,45 +144,21 @@ def _of_thin_rings(radii: Floats, widths: Floats) -> Floats:
     return radii
 
 
-def _trace_all(
-    grey: Pixels, origins: Floats, ends: Rows, limits: Rows, levels: Rows
-) -> tuple[Floats, Pixels, Floats]:
-    """Radii, states (N, K), rings' widths (N,): first of droplets of which a part stands free.
-
-    Where most of these have rings, less is asked of the others.
-    """
-    n = len(origins)
-    radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
-    widths = np.full(n, np.nan)
-    reached = (ends[..., 2] > ends[..., 0]) & (limits[..., 1] == FREE)
-    free = reached.sum(axis=1) >= MIN_FREE * N_RAYS
-    at_once = max(1, int(SAMPLES_AT_ONCE / 2 / N_RAYS / (ends.max() + LOOK_PX)))
-    for turn in range(2):
-        rings = np.isfinite(widths)
-        alike = 2 * int(rings.sum()) > int(free.sum())
-        some = np.flatnonzero(~free | (alike & ~rings) if turn else free)
-        for start in range(0, len(some), at_once):
-            rows = some[start : start + at_once]
-            radii[rows], states[rows], widths[rows] = _trace(
-                *(grey, origins[rows], ends[rows], limits[rows], levels[rows]),
-                min_risen=MIN_RISEN_RINGS if alike else MIN_RISEN,
-            )
-    return radii, states, widths
-
-
 def _trace(
-    grey: Pixels, origins: Floats, ends: Rows, limits: Rows, levels: Rows, *, min_risen: float
+    grey: Pixels,
+    origins: Floats,
+    ends: Rows,
+    limits: Rows,
+    rings: Bools,
+    scales: Floats,
+    levels: Rows,
 ) -> tuple[Floats, Pixels, Floats]:
     """Radii, states (M, K) and rings' widths (M,) of some droplets; 0: unclear, NaN: no ring."""
-    first, last, limit = ends[..., 0], ends[..., 2], limits[..., 1]
+    first = ends[..., 0]
     halves = np.arange(2 * (int(ends.max(initial=0)) + LOOK_PX) + 2) / 2
-    places = origins[:, None, None] + halves[:, None] * DIRECTIONS[:, None]
-    levels_there = _levels_at(grey, places)
-    profiles = levels_there[..., ::2]
-    rings, scales = _rings(profiles, first, last, limit, levels, min_risen)
-    last = np.where(rings[:, None], last, ends[..., 1])
-    limit = np.where(rings[:, None], limit, limits[..., 0])
-    scales = np.where(rings[:, None], scales, levels[:, :2])
+    levels_there = levels_at(grey, origins[:, None, None] + halves[:, None] * DIRECTIONS[:, None])
+    last = np.where(rings[:, None], ends[..., 2], ends[..., 1])
+    limit = np.where(rings[:, None], limits[..., 1], limits[..., 0])
     signs = np.where(scales[:, 1] < 0, -1, 1)
     usable = (scales[:, 1] != 0)[:, None] & (last - first >= 2)
     first = np.where(rings[:, None], first * 2 // 3, first)  # a ring may lie a little further in
@@ -199,79 +178,25 @@ def _trace(
             inner, outer = flanks[0, rings], flanks[1, rings]
             radii[rings], widths[rings] = _with_shared(inner, outer, limit[rings] == IMAGE)
         else:
-            radii[droplet, ray] = _filled_edges(heights, *between, scale)
+            free = limit[droplet, ray] == FREE
+            radii[droplet, ray] = _filled_edges(heights, *between, scale, free)
     states = np.where(np.isfinite(radii), SEEN, np.where(limit == IMAGE, CUT, UNSEEN))
     widths[rings & np.isnan(widths)] = 0
     return radii, states.astype(np.uint8), widths
 
 
-def _levels_at(grey: Pixels, places: Floats) -> Floats:
-    """The grey levels at places (..., 2) px, between the centres of four pixels."""
-    height, width = grey.shape
-    u, v = places[..., 0] - 0.5, places[..., 1] - 0.5
-    left = np.clip(np.floor(u), 0, width - 2).astype(np.int64)
-    top = np.clip(np.floor(v), 0, height - 2).astype(np.int64)
-    s, t = np.clip(u - left, 0, 1), np.clip(v - top, 0, 1)
-    flat, corner = grey.ravel(), top * width + left
-    above = flat[corner] * (1 - s) + flat[corner + 1] * s
-    below = flat[corner + width] * (1 - s) + flat[corner + width + 1] * s
-    return np.asarray(above * (1 - t) + below * t)
-
-
-def _rings(
-    profiles: Floats, first: Rows, last: Rows, limits: Rows, levels: Rows, min_risen: float
-) -> tuple[Bools, Floats]:
-    """Which droplets (M,) have a ring; surroundings, and how far the ring is off them, (M, 2)."""
-    steps = np.arange(profiles.shape[2])
-    inside = (steps >= first[..., None]) & (steps <= last[..., None])
-    rings, scales = np.zeros(len(profiles), bool), np.zeros((len(profiles), 2))
-    outer = np.take_along_axis(profiles, last[..., None], axis=2)[..., 0]
-    upper, lower = (np.where(inside, profiles, far) for far in (-np.inf, np.inf))
-    highest, lowest = upper.max(axis=2), lower.min(axis=2)
-    at_highest, at_lowest = upper.argmax(axis=2), lower.argmin(axis=2)
-    for m, (_, contrast, middle) in enumerate(levels.tolist()):
-        some = last[m] > first[m]
-        free = some & (limits[m] == FREE)
-        alone = free.sum() >= (MIN_FREE if contrast == 0 else MIN_FREE_FILLED) * N_RAYS
-        if not alone:
-            free = some
-        if free.sum() < MIN_FREE * N_RAYS:
-            continue
-        ends = outer[m, free]
-        outside = float(np.median(ends)) if alone else middle
-        if not alone and contrast != 0:  # rings, if there is something else between them
-            ends = np.take_along_axis(profiles[m], last[m, :, None] - 1, axis=1)[free, 0]
-            far, half = (lowest if contrast > 0 else highest)[m, free], MIN_RISE * abs(contrast)
-            risen = (np.abs(middle - far) >= half) & (np.abs(ends - far) >= half)
-            if risen.mean() < min_risen:
-                continue
-            ends = ends[risen]  # some are half on a ring
-            outside = float(np.quantile(ends, BARE if contrast > 0 else 1 - BARE))
-        top, bottom = float(np.median(highest[m, free])), float(np.median(lowest[m, free]))
-        over, under = top - max(middle, outside), min(middle, outside) - bottom
-        noise = NOISE * float(np.median(np.abs(ends - np.median(ends))))
-        if min_risen < MIN_RISEN and not alone:
-            noise = 0.0
-        least = max(MIN_CONTRAST, RING_SHARE * abs(middle - outside))
-        if max(over, under) - noise < least:
-            continue
-        bright = over > under
-        if min(over, under) >= max(least + noise, SECOND * max(over, under)):
-            further = at_highest[m, free] - at_lowest[m, free]
-            bright = bool(np.median(further) > 0)  # the outer one of two rings
-        rings[m] = True
-        scales[m] = outside, (top if bright else bottom) - outside
-    return rings, scales
-
-
-def _filled_edges(heights: Floats, first: Rows, last: Rows, scales: Floats) -> Floats:
+def _filled_edges(heights: Floats, first: Rows, last: Rows, scales: Floats, free: Bools) -> Floats:
     """The edges (R,), px, of droplets unlike their surroundings; NaN where there is none.
 
     `heights` (R, 2 S) of rays at every half px, `scales` (R, 2): the surroundings' and how far the
-    droplet is above. From the lowest place between `first` and `last` inwards.
+    droplet is above. Inwards from the lowest place between `first` and `last`; where no neighbour
+    limits a ray, `free` (R,), from that in the first gap that is about as low as the surroundings:
+    what is behind it may be a wall.
     """
     base, contrast = scales.T
-    lowest, place, low = _lowest(heights, first, last)
+    start, stop = _first_high(-heights, first, last, np.column_stack([-base - contrast, contrast]))
+    gap = np.where(free, start, first), np.where(free, stop, last)
+    lowest, place, low = _lowest(heights, *gap)
     depth = 1 - np.maximum((low - base) / contrast, 0)
     steps = np.arange(heights.shape[1] // 2)
     behind = (steps >= lowest[:, None]) & (steps <= last[:, None])
@@ -293,7 +218,9 @@ def _ring_flanks(
     height of what the rings are around.
     """
     base, ring = scales.T
-    peak, top = _first_peak(heights, first, np.maximum(2 * last - end, first), scales)
+    reach = _first_high(heights, first, np.maximum(2 * last - end, first), scales)
+    peak, _, lowest = _lowest(-heights, *reach)
+    top = -lowest
     half = base + (1 - MIN_FALL) * (top - base)
     steps, px = np.arange(heights.shape[1] // 2), heights[:, ::2]
     fallen = (steps > peak[:, None]) & (steps <= end[:, None]) & (px < half[:, None])
@@ -303,8 +230,8 @@ def _ring_flanks(
     halves = np.arange(heights.shape[1])
     gap = (halves >= 2 * fall[:, None]) & (halves < 2 * rise[:, None])
     gap &= halves <= 2 * end[:, None]
-    lowest = np.where(gap, heights, top[:, None]).min(axis=1)
-    depth = np.minimum((top - lowest) / np.maximum(top - base, 1e-9), 1)
+    deepest = np.where(gap, heights, top[:, None]).min(axis=1)
+    depth = np.minimum((top - deepest) / np.maximum(top - base, 1e-9), 1)
     share = np.where(rise <= end, 1 - depth / (1 + depth**2), 0.5)
     limit = base + share * (top - base)
     outer = _crossings(heights, np.minimum(fall, end) - 1, limit)
@@ -314,21 +241,19 @@ def _ring_flanks(
     return np.where(high, inner, np.nan), outer
 
 
-def _first_peak(heights: Floats, first: Rows, last: Rows, scales: Floats) -> tuple[Rows, Floats]:
-    """The px of rays (R, 2 S) where a ring is the highest, and how high it is there.
+def _first_high(heights: Floats, first: Rows, last: Rows, scales: Floats) -> tuple[Rows, Rows]:
+    """The px (R,) from where to where rays (R, 2 S) are first about as high as the scale says.
 
-    Of the first place that is about as high as the ring, else the highest of all.
+    From `first` to `last` where they never are.
     """
-    base, ring = scales.T
+    base, full = scales.T
     steps, px = np.arange(heights.shape[1] // 2), heights[:, ::2]
     within = (steps >= first[:, None]) & (steps <= last[:, None])
-    high = within & (px >= (base + FIRST_PEAK * ring)[:, None])
+    high = within & (px >= (base + FIRST_PEAK * full)[:, None])
     start = np.where(high.any(axis=1), high.argmax(axis=1), first)
-    low = (steps > start[:, None]) & (px < (base + (1 - MIN_FALL) * ring)[:, None])
+    low = (steps > start[:, None]) & (px < (base + (1 - MIN_FALL) * full)[:, None])
     low &= high.any(axis=1)[:, None]
-    stop = np.where(low.any(axis=1), np.minimum(low.argmax(axis=1) - 1, last), last)
-    peak, _, lowest = _lowest(-heights, start, stop)
-    return peak, -lowest
+    return start, np.where(low.any(axis=1), np.minimum(low.argmax(axis=1) - 1, last), last)
 
 
 def _with_shared(inner: Floats, outer: Floats, ends: Bools) -> tuple[Floats, Floats]:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit, types
 
-from droptrack.data.arrays import Floats, Pixels, Rows
+from droptrack.data.arrays import Bools, Floats, Pixels, Rows
 
 # what limits a ray
 FREE, IMAGE, NEIGHBOUR = 0, 1, 2
@@ -16,19 +16,10 @@ FAST: dict[str, Any] = {"error_model": "numpy", "cache": True, "nogil": True}
 class Settings(NamedTuple):
     """The constants of outlines.py, by their names there."""
 
-    min_contrast: float
-    ring_share: float
-    noise: float
-    min_free: float
-    min_free_filled: float
     min_depth: float
     min_rise: float
-    min_risen_rings: float
-    min_risen: float
-    bare: float
     min_peak: float
     first_peak: float
-    second: float
     min_fall: float
     look_px: float
     min_widths: float
@@ -44,21 +35,14 @@ class Rays(NamedTuple):
     profile: Floats  # where it has been read, every px
 
 
-class Looks(NamedTuple):
-    """What was seen along the rays of a droplet while they were read, (K,) each."""
-
-    highest: Floats
-    at_highest: Rows
-    lowest: Floats
-    at_lowest: Rows
-
-
-_SETTINGS = types.NamedUniTuple(types.float64, 16, Settings)  # type: ignore[no-untyped-call]
+_SETTINGS = types.NamedUniTuple(types.float64, 7, Settings)  # type: ignore[no-untyped-call]
 SIGNATURE = types.void(
     types.Array(types.uint8, 2, "C", readonly=True),
     types.float64[:, ::1],
     types.int64[:, :, ::1],
     types.int64[:, :, ::1],
+    types.boolean[::1],
+    types.float64[:, ::1],
     types.int64[:, ::1],
     types.float64[:, ::1],
     _SETTINGS,
@@ -83,43 +67,20 @@ def _level(rays: Rays, ray: int, distance: float) -> float:
 
 
 @njit(**FAST)
-def _read(rays: Rays, ends: Rows, looks: Looks) -> None:
-    """Read the levels of all rays, from the first px to the last; and where each is the highest.
-
-    And the lowest, up to the end of what a ring is looked for in.
-    """
-    profile = rays.profile
-    for ray in range(len(rays.steps)):
-        first, last = ends[ray, 0], ends[ray, 2]
-        low, high = np.inf, -np.inf
-        at_low = at_high = first
-        for j in range(first, last + 1):
-            level = _level(rays, ray, float(j))
-            profile[ray, j] = level
-            if level > high:
-                high, at_high = level, j
-            if level < low:
-                low, at_low = level, j
-        for j in range(max(first, last + 1), ends[ray, 1] + 1):
-            profile[ray, j] = _level(rays, ray, float(j))
-        looks.highest[ray], looks.at_highest[ray] = high, at_high
-        looks.lowest[ray], looks.at_lowest[ray] = low, at_low
-
-
-@njit(**FAST)
 def _filled_edge(
-    rays: Rays, ray: int, ends: tuple[int, int, int], scale: tuple[float, float], s: Settings
+    rays: Rays, ray: int, ends: Rows, limiting: int, scale: tuple[float, float], s: Settings
 ) -> float:
-    """The edge, px, of a droplet unlike its surroundings; see outlines.py.
-
-    `ends`: the first px, the last, and the lowest between them.
-    """
+    """The edge, px, of a droplet unlike its surroundings; see outlines.py."""
     profile, sign = rays.profile, 1.0 if scale[1] > 0 else -1.0
     base, contrast = sign * scale[0], sign * scale[1]
-    first, last, lowest = ends
+    first, last = int(ends[0]), int(ends[1])
+    gap = first, last
+    if limiting == FREE:
+        gap = _first_gap(rays, ray, first, last, scale, s)
+    lowest = _lowest(rays, ray, sign, gap[0], gap[1])
     place, low = float(lowest), sign * profile[ray, lowest]
-    for half in (lowest - 0.5, lowest + 0.5):
-        if first <= half <= last:
+    for half in (place - 0.5, place + 0.5):
+        if gap[0] <= half <= gap[1]:
             h = sign * _level(rays, ray, half)
             if h < low:
                 place, low = half, h
@@ -136,6 +97,23 @@ def _filled_edge(
     if sign * profile[ray, lowest] >= limit:
         return place  # a film so thin that both edges are its middle
     return float(_crossing(rays, ray, sign, limit, lowest - 1, first))
+
+
+@njit(**FAST)
+def _first_gap(
+    rays: Rays, ray: int, first: int, last: int, scale: tuple[float, float], s: Settings
+) -> tuple[int, int]:
+    """From where to where, px, a ray is first about as low as the surroundings; else all of it."""
+    sign = 1.0 if scale[1] > 0 else -1.0
+    base, contrast = sign * scale[0], sign * scale[1]
+    low, high = base + (1 - s.first_peak) * contrast, base + s.min_fall * contrast
+    for start in range(first, last + 1):
+        if sign * rays.profile[ray, start] <= low:
+            stop = start
+            while stop < last and sign * rays.profile[ray, stop + 1] <= high:
+                stop += 1
+            return start, stop
+    return first, last
 
 
 @njit(**FAST)
@@ -258,69 +236,10 @@ def _with_shared(flanks: Floats, limits: Rows, s: Settings) -> float:
 
 
 @njit(**FAST)
-def _n_free(ends: Rows, limits: Rows) -> int:
-    """How many rays reach the surroundings."""
-    n = 0
-    for ray in range(len(ends)):
-        n += ends[ray, 2] > ends[ray, 0] and limits[ray, 1] == FREE
-    return n
-
-
-@njit(**FAST)
-def _ring(
-    rays: Rays, looks: Looks, ends: Rows, limits: Rows, levels: Rows, s: Settings, min_risen: float
-) -> tuple[bool, float, float]:
-    """Whether a droplet has a ring, and its scale: surroundings, and how far the ring is off."""
-    k, n_free = len(ends), _n_free(ends, limits)
-    alone = n_free >= (s.min_free if levels[1] == 0 else s.min_free_filled) * k
-    crowded = not alone and levels[1] != 0
-    outer, highest, lowest, further = np.empty(k), np.empty(k), np.empty(k), np.empty(k)
-    n = 0
-    for ray in range(k):
-        first, last = ends[ray, 0], ends[ray, 2]
-        if last <= first or (alone and limits[ray, 1] != FREE):
-            continue
-        outer[n] = rays.profile[ray, last - 1 if crowded else last]
-        highest[n], lowest[n] = looks.highest[ray], looks.lowest[ray]
-        further[n] = looks.at_highest[ray] - looks.at_lowest[ray]
-        n += 1
-    if n < s.min_free * k:
-        return False, 0.0, 0.0
-    inside, ends_there = float(levels[2]), outer[:n]
-    if crowded:  # rings, if there is something else between them
-        n_risen, half = 0, s.min_rise * abs(levels[1])
-        for ray in range(n):
-            far = lowest[ray] if levels[1] > 0 else highest[ray]
-            if abs(inside - far) >= half and abs(outer[ray] - far) >= half:
-                outer[n_risen] = outer[ray]
-                n_risen += 1
-        if n_risen < min_risen * n:
-            return False, 0.0, 0.0
-        ends_there = outer[:n_risen]
-        outside = float(np.quantile(ends_there, s.bare if levels[1] > 0 else 1 - s.bare))
-    else:
-        outside = float(np.median(ends_there)) if alone else inside
-    top, bottom = np.median(highest[:n]), np.median(lowest[:n])
-    over, under = top - max(inside, outside), min(inside, outside) - bottom
-    least = max(s.min_contrast, s.ring_share * abs(inside - outside))
-    if max(over, under) < least:
-        return False, 0.0, 0.0
-    noise = float(s.noise * np.median(np.abs(ends_there - np.median(ends_there))))
-    if min_risen < s.min_risen and not alone:
-        noise = 0.0
-    if max(over, under) - noise < least:
-        return False, 0.0, 0.0
-    bright = over > under
-    if min(over, under) >= max(least + noise, s.second * max(over, under)):
-        bright = np.median(further[:n]) > 0  # the outer one of two rings
-    return True, outside, (top if bright else bottom) - outside
-
-
-@njit(**FAST)
 def _find_edges(
     rays: Rays,
-    looks: Looks,
     ends: Rows,
+    limits: Rows,
     scale: tuple[float, float],
     flanks: Floats,
     s: Settings,
@@ -331,11 +250,9 @@ def _find_edges(
         first, last = ends[ray, 0], ends[ray, 1]
         if scale[1] == 0 or last - first < 2:
             continue
-        if last == ends[ray, 2]:  # it has been looked for
-            lowest = looks.at_lowest[ray] if scale[1] > 0 else looks.at_highest[ray]
-        else:
-            lowest = _lowest(rays, ray, 1.0 if scale[1] > 0 else -1.0, first, last)
-        flanks[ray, 1] = _filled_edge(rays, ray, (first, last, lowest), scale, s)
+        for j in range(first, last + 1):
+            rays.profile[ray, j] = _level(rays, ray, float(j))
+        flanks[ray, 1] = _filled_edge(rays, ray, ends[ray], limits[ray, 0], scale, s)
 
 
 @njit(**FAST)
@@ -356,11 +273,9 @@ def _find_flanks(
         if scale[1] == 0 or last - first < 2:
             continue
         beyond = int(s.look_px) if limits[ray, 1] == NEIGHBOUR else 0
-        for j in range(max(ends[ray, 1], last) + 1, last + beyond + 1):
+        first = first * 2 // 3  # it may lie a little further in
+        for j in range(first, last + beyond + 1):
             rays.profile[ray, j] = _level(rays, ray, float(j))
-        for j in range(first * 2 // 3, first):  # it may lie a little further in
-            rays.profile[ray, j] = _level(rays, ray, float(j))
-        first = first * 2 // 3
         reach = first, max(last - beyond, first), last + beyond
         inner, outer = _ring_flanks(rays, ray, reach, scale, sign * inside, s)
         flanks[ray, 0], flanks[ray, 1] = inner, outer
@@ -372,6 +287,8 @@ def trace(
     origins: Floats,
     ends: Rows,
     limits: Rows,
+    rings: Bools,
+    scales: Floats,
     levels: Rows,
     steps: Floats,
     s: Settings,
@@ -381,38 +298,23 @@ def trace(
 ) -> None:
     """Put into `radii`, `states` (N, K) and `widths` (N,) what rays from `origins` (N, 2) meet.
 
-    In two turns, as outlines.py has them. Widths are those of rings; NaN is there already.
+    Widths are those of rings; NaN is there already.
     """
     k, longest = len(steps), int(s.look_px) + 3
     for n in range(len(ends)):
         for ray in range(k):
             longest = max(longest, max(ends[n, ray, 1], ends[n, ray, 2]) + int(s.look_px) + 3)
     profile, flanks = np.empty((k, longest)), np.empty((k, 2))
-    at_highest, at_lowest = np.empty(k, np.int64), np.empty(k, np.int64)
-    looks = Looks(np.empty(k), at_highest, np.empty(k), at_lowest)
-    free = np.zeros(len(origins), np.bool_)
-    n_free = n_rings = 0
-    for turn in range(2):
-        alike = 2 * n_rings > n_free
-        min_risen = s.min_risen_rings if alike else s.min_risen
-        for n in range(len(origins)):
-            if turn == 0:
-                free[n] = _n_free(ends[n], limits[n]) >= s.min_free * k
-            if (free[n] and (widths[n] >= 0 or not alike)) if turn else not free[n]:
-                continue
-            rays = Rays(grey, origins[n, 0], origins[n, 1], steps, profile)
-            _read(rays, ends[n], looks)
-            ring, base, height = _ring(rays, looks, ends[n], limits[n], levels[n], s, min_risen)
-            if turn == 0:
-                n_free, n_rings = n_free + 1, n_rings + ring
-            if ring:
-                _find_flanks(rays, ends[n], limits[n], levels[n, 2], (base, height), flanks, s)
-                widths[n] = _with_shared(flanks, limits[n], s)
-            else:
-                scale = float(levels[n, 0]), float(levels[n, 1])
-                _find_edges(rays, looks, ends[n], scale, flanks, s)
-            for ray in range(k):
-                edge = flanks[ray, 1]
-                image = limits[n, ray, 1 if ring else 0] == IMAGE
-                radii[n, ray] = edge if edge >= 0 else np.nan
-                states[n, ray] = 1 if edge >= 0 else (2 if image else 0)
+    for n in range(len(origins)):
+        rays = Rays(grey, origins[n, 0], origins[n, 1], steps, profile)
+        scale = scales[n, 0], scales[n, 1]
+        if rings[n]:
+            _find_flanks(rays, ends[n], limits[n], levels[n, 2], scale, flanks, s)
+            widths[n] = _with_shared(flanks, limits[n], s)
+        else:
+            _find_edges(rays, ends[n], limits[n], scale, flanks, s)
+        for ray in range(k):
+            edge = flanks[ray, 1]
+            image = limits[n, ray, 1 if rings[n] else 0] == IMAGE
+            radii[n, ray] = edge if edge >= 0 else np.nan
+            states[n, ray] = 1 if edge >= 0 else (2 if image else 0)

@@ -8,7 +8,8 @@ from types import ModuleType
 import numpy as np
 
 from droptrack.compiled import compiled_twin
-from droptrack.data.arrays import Bools, Floats, Rows
+from droptrack.data.arrays import Bools, Floats, Pixels, Rows
+from droptrack.data.region import Region
 
 N_RAYS = 64
 ANGLES = np.arange(N_RAYS) * (2 * np.pi / N_RAYS)
@@ -30,6 +31,19 @@ def load_loops() -> ModuleType | None:
     return compiled_twin(__name__)
 
 
+def levels_at(grey: Pixels, places: Floats) -> Floats:
+    """The grey levels at places (..., 2) px, between the centres of four pixels."""
+    height, width = grey.shape
+    u, v = places[..., 0] - 0.5, places[..., 1] - 0.5
+    left = np.clip(np.floor(u), 0, width - 2).astype(np.int64)
+    top = np.clip(np.floor(v), 0, height - 2).astype(np.int64)
+    s, t = np.clip(u - left, 0, 1), np.clip(v - top, 0, 1)
+    flat, corner = grey.ravel(), top * width + left
+    above = flat[corner] * (1 - s) + flat[corner + 1] * s
+    below = flat[corner + width] * (1 - s) + flat[corner + width + 1] * s
+    return np.asarray(above * (1 - t) + below * t)
+
+
 def find_ends(
     size: tuple[int, int], boxes: Floats, origins: Floats, neighbours: Rows
 ) -> tuple[Rows, Rows]:
@@ -46,6 +60,23 @@ def find_ends(
     arrays = (np.ascontiguousarray(one) for one in (boxes, origins, neighbours))
     loops.find_ends(size, *arrays, DIRECTIONS, loops.Settings(*SETTINGS), ends, limits)
     return ends, limits
+
+
+def end_at_region(ends: Rows, limits: Rows, origins: Floats, region: Region) -> None:
+    """Let rays of `find_ends` that leave a region end there, in place, as at the image's edge."""
+    far = origins[:, None, None] + ends[:, :, 1:, None] * DIRECTIONS[:, None]
+    beyond = ~region.contains(far.reshape(-1, 2)).reshape(far.shape[:-1]).all(axis=2)
+    droplet, ray = np.nonzero(beyond)
+    if not len(droplet):
+        return
+    steps = np.arange(int(ends[droplet, ray].max()) + 1)
+    places = origins[droplet, None] + steps[:, None] * DIRECTIONS[ray, None]
+    out = ~region.contains(places.reshape(-1, 2)).reshape(len(droplet), -1)
+    first_out = np.where(out.any(axis=1), out.argmax(axis=1), len(steps))
+    last = np.maximum(first_out - 1, 0)[:, None]
+    nearer = last < ends[droplet, ray, 1:]
+    ends[droplet, ray, 1:] = np.minimum(last, ends[droplet, ray, 1:])
+    limits[droplet, ray] = np.where(nearer, IMAGE, limits[droplet, ray])
 
 
 def _find_ends(

@@ -93,10 +93,8 @@ def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floa
 def _extremes(points: Floats) -> Floats:
     """The maxima (N, 2) of closed curves (N, K, 2), each by a parabola through three points."""
     at = points.argmax(axis=1)
-    before, here, after = (
-        np.take_along_axis(points, (at + shift)[:, None] % N_RAYS, axis=1)[:, 0]
-        for shift in (-1, 0, 1)
-    )
+    row = np.arange(len(points))[:, None]
+    before, here, after = (points[row, (at + shift) % N_RAYS, [0, 1]] for shift in (-1, 0, 1))
     bend = 2 * here - before - after
     with np.errstate(divide="ignore", invalid="ignore"):
         above = (after - before) ** 2 / (8 * bend)

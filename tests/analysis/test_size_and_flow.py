@@ -151,6 +151,22 @@ def test_sizes_of_two_kinds_of_droplets() -> None:
     assert spread.reason == "one droplet has no spread of sizes"
 
 
+def test_boxes_stand_for_sizes_only_where_a_droplet_has_no_others_and_that_is_said() -> None:
+    """Boxes of 12 px: one droplet measured as 10 px in every second frame, the other never."""
+    rows = rows_of(np.repeat(np.arange(4.0).reshape(1, 2, 2) * 30, 6, axis=0), np.full(2, 12.0))
+    first = rows.track_id == rows.track_id[0]
+    measured = np.where(first & (rows.frame % 2 == 0), 10.0, np.nan)
+    found = analyse_size(Table(rows=replace(rows, columns={"diameter_px": measured})), SizeConfig())
+    values = {one.stem: one.value for one in found.quantities}
+    assert values["mean_diameter"] == pytest.approx((10 + 12) / 2)
+    assert len(found.notes) == 1
+    assert found.notes[0].startswith("6 of 9 sizes are those of boxes")
+    only = analyse_size(
+        Table(rows=replace(rows, columns={"diameter_px": np.full(len(first), 10.0)})), SizeConfig()
+    )
+    assert not only.notes
+
+
 def test_deformation_is_taken_from_the_axes_where_only_these_are_known() -> None:
     """3 to 1 and 1 to 1, as often; a chart of one curve says of what it is."""
     rows = rows_of(np.repeat(np.arange(8.0).reshape(1, 4, 2) * 30, 2, axis=0))

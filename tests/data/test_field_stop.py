@@ -53,6 +53,28 @@ def test_a_stop_that_only_two_corners_show_is_found_beside_the_dark_walls_of_a_c
     assert not stop.region.mask[:, 0].any()
 
 
+def channel_behind_stop(rng: np.random.Generator) -> Frame:
+    """A bright channel between dark walls, with a plug somewhere, behind a large and soft stop."""
+    canvas = np.clip(rng.normal(120, 3, (416, 1024)), 0, 255)
+    canvas[130:290] = 200
+    canvas[120:130] = canvas[290:300] = 25
+    rims, inside = np.array([[0.0, 210, 170, 75, 0]]), [0, 0, 12, 12, 0]
+    rims[0, 0] = rng.uniform(-100, 1100)
+    plug = canvas.astype(np.uint8)
+    draw_ellipses(plug, rims, 30)
+    draw_ellipses(plug, rims - inside, 230)
+    return through_stop(plug.astype(float), 545.0, 212.0, 521.0, soft=14)
+
+
+def test_a_large_stop_is_the_same_whatever_frames_are_chosen() -> None:
+    """Only an arc of it is seen, whose edge is soft and meets what is bright and what is not."""
+    for seed in range(8):
+        rng = np.random.default_rng([4, seed])
+        stop = find_field_stop([channel_behind_stop(rng) for _ in range(1 + 2 * seed)])
+        assert stop is not None, seed
+        assert (stop.x, stop.y, stop.radius) == pytest.approx((545, 212, 521), abs=4)
+
+
 def test_a_dark_background_is_no_field_stop() -> None:
     """All scenes; a packing of discs, a large one, a channel between dark walls, a window."""
     for kind in SCENES:

@@ -19,15 +19,15 @@ from droptrack.analysis.records import (
     Style,
 )
 from droptrack.analysis.tables import diameters, droplet_medians, kept_rows
-from droptrack.data.arrays import Floats
+from droptrack.data.arrays import Bools, Floats
 from droptrack.data.formats.table import Table
 from droptrack.data.report import Value
 
 MAX_BINS = 40
 ABOUT = (
     "A droplet's size is the median of its diameters over its frames: that of the circle of the "
-    "outline's area where it was measured, else sqrt(w h) of the box. Bridged rows and those of "
-    "droplets that the image cuts are left out."
+    "outline's area where it was measured; of droplets never measured, sqrt(w h) of the box. "
+    "Bridged rows and those of droplets that the image cuts are left out."
 )
 
 
@@ -42,7 +42,7 @@ def analyse_size(table: Table, config: SizeConfig) -> Analysis:
     """Sizes, how much they differ, and deformation."""
     rng = np.random.default_rng(config.seed)
     kept = kept_rows(table.rows)
-    sizes = diameters(table)
+    sizes, notes = _sizes_of_rows(table, kept)
     ids, medians = droplet_medians(table, sizes)
     paths = paths_of(table.rows, kept)
     stretch, deformation = _stretch(table), _deformation(table)
@@ -59,8 +59,24 @@ def analyse_size(table: Table, config: SizeConfig) -> Analysis:
         },
         quantities=[*_sizes(medians, noise, rng), *found],
         figures=[_histogram(medians, noise), *charts],
+        notes=notes,
         tables={"droplets": _rows(table, ids.tolist(), medians.tolist())},
     )
+
+
+def _sizes_of_rows(table: Table, kept: Bools) -> tuple[Floats, list[str]]:
+    """Diameters (M,) px, those of boxes only of droplets that have no others; and what to say."""
+    sizes, measured = diameters(table), table.column("diameter_px")
+    known = np.zeros(len(sizes), bool) if measured is None else np.isfinite(measured)
+    ids = table.rows.track_id
+    sizes = np.where(~known & np.isin(ids, ids[known & kept]), np.nan, sizes)
+    some = kept & np.isfinite(sizes)
+    n_boxes = int((some & ~known).sum())
+    note = (
+        f"{n_boxes} of {int(some.sum())} sizes are those of boxes, as the outline was not measured "
+        "in any frame of these droplets: a network's boxes are off by some per cent."
+    )
+    return sizes, [note] if n_boxes else []
 
 
 def _sizes(medians: Floats, noise: float, rng: np.random.Generator) -> list[Quantity]:

@@ -133,10 +133,10 @@ def _add_spots(model: Element, table: Table) -> None:
                 **{"POSITION_Z": "0.0", "POSITION_T": repr(frame / fps), "FRAME": str(frame)},
                 **{"RADIUS": repr(float(radii[i])), "VISIBILITY": "1"},
             }
+            # NaN where there is none, as TrackMate writes it: what was declared is there
             values |= {
-                name: repr(float(column[i]))
+                name: repr(float(column[i])).replace("nan", "NaN")
                 for name, column in shapes.items()
-                if np.isfinite(column[i])
             }
             SubElement(parent, "Spot", values)
 
@@ -241,7 +241,9 @@ def _order(found: Mapping[str, Floats]) -> Rows:
 
 
 def _number_or_nan(path: Path, spot: Element, name: str) -> float:
-    return number(path, spot, name) if name in spot.attrib else float("nan")
+    """A feature of a spot, NaN where there is none or TrackMate says NaN."""
+    known = spot.attrib.get(name, "NaN") != "NaN"
+    return number(path, spot, name) if known else float("nan")
 
 
 def _px_of_model(path: Path, root: Element, model: Element, um_per_px: float | None) -> float:

@@ -49,6 +49,23 @@ def test_geff_s_own_reader_of_trackmate_finds_the_tracks(ours: Path) -> None:
     assert {str(axis.unit) for axis in read["metadata"].axes} == {"micron", "sec"}
 
 
+def test_pytrackmate_reads_the_full_model(ours: Path) -> None:
+    """It wants of each spot all that is declared, so that unknown sizes are there, as NaN."""
+    reader = pytest.importorskip("pytrackmate")
+    out = ours.parent / "model.xml"
+    convert(ours, out)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read = reader.trackmate_peak_import(out, get_tracks=True).sort_values("spot_id")
+    expected = three_droplets()
+    assert read["x"].tolist() == pytest.approx((expected.x - 0.5) * 0.5)
+    assert read["t_stamp"].tolist() == expected.frame.tolist()
+    in_tracks = expected.track_id != 4  # a droplet seen once is in no track
+    found = read["label"].to_numpy()
+    assert all(len(set(found[expected.track_id == one])) == 1 for one in (1, 2))
+    assert len(set(found[in_tracks])) == 2
+
+
 def test_geff_validates_and_knows_axes_and_units(ours: Path) -> None:
     geff = pytest.importorskip("geff")
     out = ours.parent / "t.geff"

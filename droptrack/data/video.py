@@ -103,6 +103,11 @@ class Video:
         return self._doubt or (self._times.doubt() if self._times is not None else "")
 
     @property
+    def n_left_out(self) -> int:
+        """Frames so far that are missing, by the times of those around them."""
+        return self._times.n_left_out if self._times is not None else 0
+
+    @property
     def n_lost(self) -> int:
         """Frames so far that came while a stream was away, by its rate."""
         return self._outages.n_frames

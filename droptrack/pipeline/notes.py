@@ -19,10 +19,18 @@ def say_what_is_missing(name: str, source: Video, n_missing: int, say: Say) -> N
     """Tell how many frames of a source were lost or damaged."""
     if source.n_lost:
         say(f"{name}: about {source.n_lost} frames lost while the stream was away")
-    elif n_missing > source.n_absent:
+        return
+    n_missing -= source.n_absent
+    n_left_out = min(n_missing, source.n_left_out)
+    if n_left_out > 0:
+        say(
+            f"{name}: {n_left_out} frames are missing, by the times of those around them: damaged, "
+            "or never recorded; the others have their own numbers"
+        )
+    if n_missing > n_left_out:
         claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
         say(
-            f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
+            f"{name}: {n_missing - n_left_out} {claims}could not be decoded: it is damaged"
             f"{', or ends early' if source.counted else ''}"
         )
 

@@ -121,7 +121,7 @@ def _by_index(data: mmap.mmap, movie: int, index: NDArray[np.void]) -> AviFrames
         n_known += here
         if not here:
             kind, place, size = _resolved(data, known, (kind, place, size), following, after)  # noqa: PLW2901
-        if kind == video or (kind == b"" and known == {video}):
+        if kind == video or (kind == b"" and set(known) == {video}):
             places.append((place + HEADER, size))
             n_odd += not here
         following = place + HEADER + size + size % 2 if size else after or following
@@ -134,14 +134,19 @@ def _by_index(data: mmap.mmap, movie: int, index: NDArray[np.void]) -> AviFrames
     return AviFrames(np.array(places, np.int64), n_odd)
 
 
-def _usual(kinds: list[bytes]) -> set[bytes]:
-    """The kinds of chunks that are no accident."""
+def _usual(kinds: list[bytes]) -> dict[bytes, int]:
+    """The kinds of chunks that are no accident, and how many there are of each."""
     n_each = Counter(kind for kind in kinds if CHUNK.fullmatch(kind))
-    return {kind for kind, n in n_each.items() if n > max(1, MIN_USUAL * len(kinds))} or set(n_each)
+    usual = {kind: n for kind, n in n_each.items() if n > max(1, MIN_USUAL * len(kinds))}
+    return usual or dict(n_each)
 
 
 def _resolved(
-    data: mmap.mmap, known: set[bytes], entry: tuple[bytes, int, int], following: int, after: int
+    data: mmap.mmap,
+    known: dict[bytes, int],
+    entry: tuple[bytes, int, int],
+    following: int,
+    after: int,
 ) -> tuple[bytes, int, int]:
     """Kind, place and size of a chunk that its entry and itself do not agree on.
 
@@ -149,7 +154,8 @@ def _resolved(
     Without one, the kind may be empty and the size 0.
     """
     chunk = _chunk(data, following)
-    kind = next((one for one in (entry[0], chunk[0]) if one in known), b"")
+    kinds = [one for one in (entry[0], chunk[0]) if one in known]
+    kind = max(kinds, key=lambda one: known[one], default=b"")  # one bit makes 10dc of 00dc
     _, place, size = entry
     for one in (
         (kind, place, size),
@@ -239,7 +245,7 @@ def _numbered(chunks: list[tuple[bytes, int, int]], claimed: int) -> AviFrames |
             gaps.append(len(frames))
         frames.append((start, size))
     n_more = claimed - len(frames)
-    alone = kinds == {video} and claimed
+    alone = set(kinds) == {video} and claimed
     known = not gaps and n_more in (0, -len(frames))
     if alone and len(gaps) == 1 and -1 <= n_more <= chunks[-1][1] // HEADER:
         frames[gaps[0] : gaps[0] + 1] = [frames[gaps[0]], *[(0, 0)] * n_more][: n_more + 1]

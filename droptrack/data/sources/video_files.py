@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from droptrack.data.frames import Frame, as_frame, grey_frame, grey_plane
 from droptrack.data.sources.avi_index import AviFrames, avi_frames, read_frames
-from droptrack.data.sources.frame_times import FrameTimes
+from droptrack.data.sources.beginnings import (
+    MATROSKA,
+    MPEG_4,
+    PROGRAM,
+    RIFF,
+    begins_with,
+    doubt_of_beginning,
+    is_packed,
+)
+from droptrack.data.sources.frame_times import ROUNDED_MS, FrameTimes
 from droptrack.data.sources.jpeg_images import decode_jpeg
 from droptrack.data.sources.mp4_edits import shown_share
 from droptrack.data.sources.opencv_names import opencv_name, without_log
@@ -22,10 +31,9 @@ GREY = 4  # levels that the colours of a grey frame may differ by, from a codec'
 LOOK_FOR_COLOUR = 25  # frames from one look to the next, in Motion JPEG
 # frames one after the other that cannot be decoded, before that is taken for the end
 MAX_DAMAGED = 10_000
+EXACT_MS = 0.05  # to which containers that COUNT give times
 GREY_16 = int.from_bytes(b"Y1\x00\x10", "little")  # FFmpeg's code of grey with 16 bits
-# what the first bytes of files are whose containers count their frames; others estimate them
-MPEG_4 = ((4, b"ftyp"), (4, b"moov"), (4, b"mdat"), (4, b"wide"), (4, b"free"))
-COUNTING = ((0, b"RIFF"), *MPEG_4)
+COUNTING = (*RIFF, *MPEG_4)  # containers that count their frames; others estimate them
 # FFmpeg's codes of pixels of 8 bits whose luma lies alone; of 10, 12 and so on, the last byte
 PLANAR = (b"I420", b"IYUV", b"YV12", b"422P", b"Y42B", b"444P")
 MORE_BITS = b"Y3"
@@ -33,6 +41,10 @@ OUT_OF_STEP = (
     "what says where {n} of its frames begin is damaged: FFmpeg may have left them out, so that "
     "later ones have too small a number; is there another copy of the file?"
 )
+UNDECODED = (cv2.CAP_PROP_FORMAT, -1)
+N_AHEAD, MIN_AHEAD = 300, 32  # frames whose times are looked at, to see whether they are steady
+MAX_AHEAD = 2**26  # bytes of these
+N_REORDERED = 16  # frames by which one may be stored before its turn, as H.264 has it at most
 N_LOOKED_AT = 20  # frames for one that is whole, before a codec is taken for another
 MIN_ALIKE = 0.5  # correlation of a frame's luma with what the codec gave, if it was converted
 MIN_SPREAD = 3  # standard deviation of grey levels, to tell that
@@ -46,29 +58,52 @@ def open_video(path: Path, options: ReadOptions) -> Source:
     with opencv_name(path) as name:
         capture = open_capture(name, str(path))
         fps = float(capture.get(cv2.CAP_PROP_FPS))
-        times = FrameTimes(fps if math.isfinite(fps) and fps > 0 else 0.0)
+        rate = fps if math.isfinite(fps) and fps > 0 else 0.0
+        times = FrameTimes(
+            rate,
+            sparse=begins_with(path, PROGRAM),
+            shown=not (begins_with(path, RIFF) or is_packed(path)),
+            rounded_ms=EXACT_MS if begins_with(path, COUNTING) else ROUNDED_MS,
+        )
         avi = avi_frames(path)
+        n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        n_ahead = MAX_AHEAD * n_frames // path.stat().st_size if n_frames else N_AHEAD
+        note = times.look_ahead(_times(name, min(N_AHEAD, max(MIN_AHEAD, n_ahead))))
         images = _read_jpegs(path, name, capture, times, avi)
         if images is None and int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == GREY_16:
             capture.release()
             capture = open_capture(name, str(path), [cv2.CAP_PROP_CONVERT_RGB, 0])
-    n_frames = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+    if begins_with(path, MATROSKA) and rate:
+        times.length_ms = 1000 * n_frames / rate
     doubt = avi.doubt or OUT_OF_STEP.format(n=avi.n_odd) * bool(avi.n_odd) if avi else ""
     if images is not None:
         capture.release()
         if avi is not None:
             n_frames = len(avi.places) if avi.whole else max(n_frames, len(avi.places))
             doubt = avi.doubt
-    share = shown_share(path) if _begins_with(path, MPEG_4) else 1.0
+    share = shown_share(path) if begins_with(path, MPEG_4) else 1.0
     cut = (1 - share) * n_frames > 0.5  # by an edit list; where, FFmpeg knows
     return Source(
         images=images or _converted(path, read_capture(capture, n_frames, times)),
         n_frames=round(share * n_frames) if cut else n_frames,
-        counted=_begins_with(path, COUNTING) and not cut,
-        fps=fps,
+        counted=begins_with(path, COUNTING) and not cut,
+        fps=times.rate if note else fps,
         times=times,
-        doubt=doubt,
+        notes=(f"{path}: {note}",) if note else (),
+        doubt=doubt or doubt_of_beginning(path),
     )
+
+
+def _times(name: str, n: int) -> list[float]:
+    """The times of a file's first frames, ms, as they are in it; not decoded."""
+    with without_log():
+        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, UNDECODED)
+        found: list[float] = []
+        while len(found) < n and capture.grab():
+            found.append(float(capture.get(cv2.CAP_PROP_POS_MSEC)))
+        capture.release()
+    complete = len(found) < n
+    return sorted(found)[: None if complete else -N_REORDERED]
 
 
 def open_capture(
@@ -101,14 +136,14 @@ def read_capture(
     FFmpeg leaves some out that it cannot decode, and fails at others. That is not yet the end.
     """
     maybe_grey = True  # until the first frame with colour
+    times = times or FrameTimes(0)
     n_failed = 0
     try:
-        for index in count():
+        for n_tried in count():
             ok, image = capture.read()
             if ok:
+                index = times.add(capture.get(cv2.CAP_PROP_POS_MSEC), n_failed)
                 n_failed = 0
-                if times is not None:
-                    times.add(capture.get(cv2.CAP_PROP_POS_MSEC))
                 if image.dtype != np.uint8:
                     yield index, image
                     continue
@@ -118,7 +153,7 @@ def read_capture(
                 yield index, frame if grey is None else grey
             else:
                 n_failed += 1
-                if index >= claimed or n_failed > MAX_DAMAGED:
+                if n_tried >= claimed or n_failed > MAX_DAMAGED:
                     return
     finally:
         capture.release()
@@ -169,13 +204,6 @@ def _alike(capture: cv2.VideoCapture, image: Image) -> bool | None:
     return bool(grey.std() and np.corrcoef(grey.ravel(), luma.ravel())[0, 1] > MIN_ALIKE)
 
 
-def _begins_with(path: Path, marks: Sequence[tuple[int, bytes]]) -> bool:
-    """Whether one of the marks stands in its place of the first bytes."""
-    with path.open("rb") as file:
-        head = file.read(12)
-    return any(head[place:].startswith(mark) for place, mark in marks)
-
-
 def _read_jpegs(
     path: Path, name: str, capture: cv2.VideoCapture, times: FrameTimes, avi: AviFrames | None
 ) -> Iterator[tuple[int, Image]] | None:
@@ -189,14 +217,14 @@ def _read_jpegs(
     is_png = code.upper() in {b"MPNG", b"PNG "}
     if not (is_png or code.upper() in {b"MJPG", b"JPEG"}) or turned:
         return None
-    packets = _packets(name, times) if avi is None else read_frames(path, avi)
+    packets = _packets(name, times) if avi is None else enumerate(read_frames(path, avi))
     decode = _decode_png if is_png else _decode_bgr
     height, width = (
         int(capture.get(side)) for side in (cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FRAME_WIDTH)
     )
     ahead = []
-    for packet in islice(packets, N_LOOKED_AT):
-        ahead.append(packet)
+    for number, packet in islice(packets, N_LOOKED_AT):
+        ahead.append((number, packet))
         image = decode(packet)
         if image is not None:
             if image.shape[:2] != (height, width):  # half a frame, maybe
@@ -206,16 +234,16 @@ def _read_jpegs(
     return None
 
 
-def _packets(name: str, times: FrameTimes) -> Iterator[NDArray[np.uint8]]:
-    """The frames of a video file as they are in it; `times` are told theirs."""
-    capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
+def _packets(name: str, times: FrameTimes) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """The frames of a video file as they are in it, numbered; `times` are told theirs."""
+    capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, UNDECODED)
     try:
         while True:
             ok, packet = capture.read()
             if not ok:
                 return
-            times.add(capture.get(cv2.CAP_PROP_POS_MSEC))
-            yield np.asarray(packet, np.uint8)
+            number = times.add(capture.get(cv2.CAP_PROP_POS_MSEC))
+            yield number, np.asarray(packet, np.uint8)
     finally:
         capture.release()
 
@@ -235,16 +263,16 @@ def _decode_bgr(packet: NDArray[np.uint8], *, grey: bool = False) -> Image | Non
         return None
 
 
-def _decoded_png(packets: Iterable[NDArray[np.uint8]]) -> Iterator[tuple[int, Image]]:
+def _decoded_png(packets: Iterable[tuple[int, NDArray[np.uint8]]]) -> Iterator[tuple[int, Image]]:
     """The frames of PNG images."""
-    for index, packet in enumerate(packets):
+    for index, packet in packets:
         image = _decode_png(packet)
         if image is not None:
             yield index, image
 
 
 def _decoded(
-    packets: Iterable[NDArray[np.uint8]], size: tuple[int, int]
+    packets: Iterable[tuple[int, NDArray[np.uint8]]], size: tuple[int, int]
 ) -> Iterator[tuple[int, Frame]]:
     """The frames of JPEG images, grey until one has a colour that an eighth of its size shows.
 
@@ -252,8 +280,8 @@ def _decoded(
     than the file's is damaged.
     """
     maybe_grey = True
-    for index, packet in enumerate(packets):
-        if maybe_grey and index % LOOK_FOR_COLOUR == 0 and len(packet):
+    for n_seen, (index, packet) in enumerate(packets):
+        if maybe_grey and n_seen % LOOK_FOR_COLOUR == 0 and len(packet):
             with without_log():
                 small = cv2.imdecode(packet, cv2.IMREAD_REDUCED_COLOR_8)
             maybe_grey = small is None or without_colour(as_frame(small)) is not None

@@ -66,9 +66,9 @@ def test_a_rate_that_is_wrong_for_all_frames_is_said() -> None:
     assert "are 0.04 s on average, not 1/30 s" in times.doubt()
 
 
-@pytest.mark.parametrize("name", ["interlaced.mpg", "interlaced.mov"])
+@pytest.mark.parametrize("name", ["interlaced.mpg", "interlaced.mov", "interlaced.mp4"])
 def test_interlaced_frames_are_read_rightly_or_refused(name: str) -> None:
-    """The FFmpeg of OpenCV 4.14 gives black ones."""
+    """The FFmpeg of OpenCV 4.14 gives black ones, or what was in the memory."""
     try:
         assert same(levels_of(Video(str(VIDEOS / name))), LEVELS)
     except DroptrackError as error:
@@ -79,3 +79,10 @@ def test_grey_of_12_bits_in_a_film_of_png_keeps_its_levels() -> None:
     video = Video(str(VIDEOS / "grey12.mov"))
     assert str(video.levels) == "0 to 4095, 12 bits, as its values show"
     assert list(levels_of(video).values()) == LEVELS
+
+
+def test_pixels_that_are_not_square_are_said() -> None:
+    video = Video(str(VIDEOS / "wide.mp4"))
+    assert "a pixel is 2 wide and 1 high" in " ".join(video.notes)
+    assert same(levels_of(video), LEVELS)
+    assert Video(str(VIDEOS / "steady.mp4")).notes == ()

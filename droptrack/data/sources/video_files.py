@@ -45,9 +45,15 @@ UNDECODED = (cv2.CAP_PROP_FORMAT, -1)
 N_AHEAD, MIN_AHEAD = 300, 32  # frames whose times are looked at, to see whether they are steady
 MAX_AHEAD = 2**26  # bytes of these
 N_REORDERED = 16  # frames by which one may be stored before its turn, as H.264 has it at most
+DEINTERLACE = "ffmpeg -i IN -vf bwdif -q:v 1 OUT.avi"
+INTERLACED = (
+    "{path}: its frames are interlaced, which OpenCV cannot convert, and each shows two times; "
+    "make them whole: {cure}"
+)
 N_LOOKED_AT = 20  # frames for one that is whole, before a codec is taken for another
 MIN_ALIKE = 0.5  # correlation of a frame's luma with what the codec gave, if it was converted
 MIN_SPREAD = 3  # standard deviation of grey levels, to tell that
+MAX_SPREAD = 6  # of a frame whose luma has less than MIN_SPREAD
 
 
 def open_video(path: Path, options: ReadOptions) -> Source:
@@ -73,6 +79,7 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         if images is None and int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT)) == GREY_16:
             capture.release()
             capture = open_capture(name, str(path), [cv2.CAP_PROP_CONVERT_RGB, 0])
+    shape = _pixels_shape(capture)
     if begins_with(path, MATROSKA) and rate:
         times.length_ms = 1000 * n_frames / rate
     doubt = avi.doubt or OUT_OF_STEP.format(n=avi.n_odd) * bool(avi.n_odd) if avi else ""
@@ -89,8 +96,19 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         counted=begins_with(path, COUNTING) and not cut,
         fps=times.rate if note else fps,
         times=times,
-        notes=(f"{path}: {note}",) if note else (),
+        notes=tuple(f"{path}: {one}" for one in (note, shape) if one),
         doubt=doubt or doubt_of_beginning(path),
+    )
+
+
+def _pixels_shape(capture: cv2.VideoCapture) -> str:
+    """What is to be said of a file whose pixels are not square."""
+    width, height = (capture.get(one) for one in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
+    if width <= 0 or height <= 0 or width == height:
+        return ""
+    return (
+        f"says that a pixel is {width:g} wide and {height:g} high: lengths along x and y are not "
+        "alike; to make pixels square: ffmpeg -i IN -vf scale=iw*sar:ih,setsar=1 -q:v 1 OUT.avi"
     )
 
 
@@ -170,18 +188,23 @@ def _converted(path: Path, images: Iterator[tuple[int, Image]]) -> Iterator[tupl
             name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_CONVERT_RGB, 0, cv2.CAP_PROP_N_THREADS, 1]
         )
     known = bool(capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360)
+    n_black = n_seen = 0
     for index, image in images:
         if not known and image.dtype == np.uint8:
             alike = _alike(capture, image)
             known = alike is not None
             if alike is False:
-                raise DroptrackError(
-                    f"{path}: its frames are interlaced, which OpenCV cannot convert, and each "
-                    "shows two times; make them whole: ffmpeg -i IN -vf bwdif -q:v 1 OUT.avi"
-                )
+                raise DroptrackError(INTERLACED.format(path=path, cure=DEINTERLACE))
         if known:
             capture.release()
+        n_seen += 1
+        n_black += not known and not image.any()
         yield index, image
+    if n_black == n_seen > 1:
+        raise DroptrackError(
+            f"{path}: all its frames are black, as OpenCV makes interlaced ones; if it is "
+            f"interlaced, make them whole: {DEINTERLACE}"
+        )
 
 
 def _alike(capture: cv2.VideoCapture, image: Image) -> bool | None:
@@ -200,7 +223,7 @@ def _alike(capture: cv2.VideoCapture, image: Image) -> bool | None:
         luma = np.ascontiguousarray(luma[:, : 2 * half]).view("<u2") * (255 / 2 ** code[3])
         grey = grey[:, :half]
     if luma.size == 0 or luma.std() < MIN_SPREAD:
-        return None
+        return False if luma.size and grey.std() > MAX_SPREAD else None
     return bool(grey.std() and np.corrcoef(grey.ravel(), luma.ravel())[0, 1] > MIN_ALIKE)
 
 

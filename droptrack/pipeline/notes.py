@@ -23,16 +23,23 @@ def say_what_is_missing(name: str, source: Video, n_missing: int, say: Say) -> N
     n_missing -= source.n_absent
     n_left_out = min(n_missing, source.n_left_out)
     if n_left_out > 0:
-        say(
-            f"{name}: {n_left_out} frames are missing, by the times of those around them: damaged, "
-            "or never recorded; the others have their own numbers"
-        )
+        say(f"{name}: {left_out(source)}")
     if n_missing > n_left_out:
         claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
         say(
             f"{name}: {n_missing - n_left_out} {claims}could not be decoded: it is damaged"
             f"{', or ends early' if source.counted else ''}"
         )
+
+
+def left_out(source: Video) -> str:
+    """How many frames are missing between others; empty where none is."""
+    if not source.n_left_out:
+        return ""
+    return (
+        f"{source.n_left_out} frames are missing, by the times of those around them: damaged, or "
+        "never recorded; the others have their own numbers"
+    )
 
 
 def say_what_is_unsure(source: str, results: Results, say: Say) -> None:

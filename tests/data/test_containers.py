@@ -7,7 +7,8 @@ import pytest
 
 from droptrack.data.sources.frame_times import FrameTimes
 from droptrack.data.sources.mp4_edits import shown_share
-from droptrack.data.video import Video
+from droptrack.data.sources.video_files import N_SAME, _stays_though_it_changes
+from droptrack.data.video import Video, VideoInfo, VideoWriter
 from droptrack.errors import DroptrackError
 
 VIDEOS = Path(__file__).parents[1] / "reference" / "videos"
@@ -86,3 +87,17 @@ def test_pixels_that_are_not_square_are_said() -> None:
     assert "a pixel is 2 wide and 1 high" in " ".join(video.notes)
     assert same(levels_of(video), LEVELS)
     assert Video(str(VIDEOS / "steady.mp4")).notes == ()
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_what_was_in_the_memory_is_known_by_what_the_file_has(tmp_path: Path, moving: bool) -> None:
+    """Images that stay the same, while the file has many bytes of each that changes."""
+    path = tmp_path / "v.mp4"
+    noise = np.random.default_rng(0).integers(0, 255, (6, 120, 160, 3), np.uint8)
+    with VideoWriter(path, VideoInfo(160, 120, 25, 6), "mp4v") as video:
+        for t in range(6):
+            video.write(noise[t if moving else 0])
+    stale = [noise[0]] * N_SAME
+    assert _stays_though_it_changes(str(path), stale) is moving
+    assert not _stays_though_it_changes(str(path), list(noise[:N_SAME]))
+    assert len(list(Video(str(path)))) == 6

@@ -52,6 +52,14 @@ INTERLACED = (
 )
 N_LOOKED_AT = 20  # frames for one that is whole, before a codec is taken for another
 MIN_ALIKE = 0.5  # correlation of a frame's luma with what the codec gave, if it was converted
+# codecs, in lower case, that may be interlaced
+INTERLACING = {
+    *(b"h264", b"avc1", b"mpg1", b"mpg2", b"fmp4", b"mp4v", b"xvid", b"wvc1", b"hevc"),
+    *(b"apch", b"apcn", b"apcs", b"apco", b"ap4h", b"ap4x", b"dvsd"),
+}
+MIN_OTHER_BYTES = 0.01  # of an image that is not the one before
+N_SAME = 4  # frames that are looked at for whether they are one
+MIN_CHANGE_BYTES, MIN_CHANGE = 100, 0.002  # of a frame that changes: bytes, and bytes a pixel
 MIN_SPREAD = 3  # standard deviation of grey levels, to tell that
 MAX_SPREAD = 6  # of a frame whose luma has less than MIN_SPREAD
 
@@ -187,9 +195,13 @@ def _converted(path: Path, images: Iterator[tuple[int, Image]]) -> Iterator[tupl
         capture = cv2.VideoCapture(
             name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_CONVERT_RGB, 0, cv2.CAP_PROP_N_THREADS, 1]
         )
+        ahead = list(islice(images, N_SAME))
+        doubtful = _code_of(capture) in INTERLACING
+        if doubtful and _stays_though_it_changes(name, [image for _, image in ahead]):
+            raise DroptrackError(INTERLACED.format(path=path, cure=DEINTERLACE))
     known = bool(capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360)
     n_black = n_seen = 0
-    for index, image in images:
+    for index, image in chain(ahead, images):
         if not known and image.dtype == np.uint8:
             alike = _alike(capture, image)
             known = alike is not None
@@ -205,6 +217,26 @@ def _converted(path: Path, images: Iterator[tuple[int, Image]]) -> Iterator[tupl
             f"{path}: all its frames are black, as OpenCV makes interlaced ones; if it is "
             f"interlaced, make them whole: {DEINTERLACE}"
         )
+
+
+def _stays_though_it_changes(name: str, images: Sequence[Image]) -> bool:
+    """Whether the first images are the same to the last bit, though the file has much of each.
+
+    So is memory that nothing was written to; images of what stands still take few bytes.
+    """
+    first = images[0] if images else None
+    if first is None or len(images) < N_SAME:
+        return False
+    if not all(np.array_equal(first, image) for image in images):
+        return False
+    enough = max(MIN_CHANGE_BYTES, first.shape[0] * first.shape[1] * MIN_CHANGE)
+    packets = [packet.ravel() for _, packet in islice(_packets(name, FrameTimes(0)), N_SAME)]
+    if len(packets) < N_SAME or min(len(packet) for packet in packets) <= enough:
+        return False
+    return any(
+        len(packet) != len(packets[0]) or (packet != packets[0]).mean() > MIN_OTHER_BYTES
+        for packet in packets
+    )
 
 
 def _alike(capture: cv2.VideoCapture, image: Image) -> bool | None:
@@ -235,10 +267,10 @@ def _read_jpegs(
     A JPEG image is decoded in less time than by FFmpeg, a grey one in half of it, and one that is
     damaged is known; of PNG all 16 bits are kept. What is to be turned is left to FFmpeg.
     """
-    code = (int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF).to_bytes(4, "little")
+    code = _code_of(capture)
     turned = capture.get(cv2.CAP_PROP_ORIENTATION_META) % 360
-    is_png = code.upper() in {b"MPNG", b"PNG "}
-    if not (is_png or code.upper() in {b"MJPG", b"JPEG"}) or turned:
+    is_png = code in {b"mpng", b"png "}
+    if not (is_png or code in {b"mjpg", b"jpeg"}) or turned:
         return None
     packets = _packets(name, times) if avi is None else enumerate(read_frames(path, avi))
     decode = _decode_png if is_png else _decode_bgr
@@ -255,6 +287,12 @@ def _read_jpegs(
             every = chain(ahead, packets)
             return _decoded_png(every) if is_png else _decoded(every, (height, width))
     return None
+
+
+def _code_of(capture: cv2.VideoCapture) -> bytes:
+    """The codec of a file, four letters in lower case."""
+    code = int(capture.get(cv2.CAP_PROP_FOURCC)) & 0xFFFFFFFF
+    return code.to_bytes(4, "little").lower()
 
 
 def _packets(name: str, times: FrameTimes) -> Iterator[tuple[int, NDArray[np.uint8]]]:

@@ -25,6 +25,7 @@ MIN_KNOWN = 0.5  # share of an index whose chunks are where it says, without whi
 ONE_PART, MAX_HEAD = 2**29, 2**16  # bytes of files with one list of frames, of what is before it
 TOTAL = HEADER + 16  # where the number of frames is in the chunk avih
 MIN_USUAL = 0.02  # share of all chunks that is of a kind
+N_AT_ONCE = 1000  # frames whose places are a list, which takes 136 bytes for each
 N_CHUNKS = 20  # that are looked for among so many of the index
 N_TRIED = 200  # entries that are looked up to find where the index counts from
 
@@ -64,9 +65,10 @@ def avi_frames(path: Path) -> AviFrames | None:
 def read_frames(path: Path, frames: AviFrames) -> Iterator[NDArray[np.uint8]]:
     """The frames as they are in the file."""
     with path.open("rb") as file:
-        for start, size in frames.places.tolist():
-            file.seek(start)
-            yield np.frombuffer(file.read(size), np.uint8)
+        for row in range(0, len(frames.places), N_AT_ONCE):
+            for start, size in frames.places[row : row + N_AT_ONCE].tolist():
+                file.seek(start)
+                yield np.frombuffer(file.read(size), np.uint8)
 
 
 def _has_several_parts(data: mmap.mmap) -> bool:

@@ -101,3 +101,12 @@ def test_what_was_in_the_memory_is_known_by_what_the_file_has(tmp_path: Path, mo
     assert _stays_though_it_changes(str(path), stale) is moving
     assert not _stays_though_it_changes(str(path), list(noise[:N_SAME]))
     assert len(list(Video(str(path)))) == 6
+
+
+def test_a_video_that_is_black_is_read_and_doubted(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "v.mp4", VideoInfo(160, 120, 25, 6), "mp4v") as video:
+        for _ in range(6):
+            video.write(np.zeros((120, 160, 3), np.uint8))
+    source = Video(str(tmp_path / "v.mp4"))
+    assert [number for number, _ in source.numbered()] == list(range(6))
+    assert "all its frames are black" in source.doubt

@@ -75,6 +75,7 @@ class FrameTimes:
     rounded_ms: float = ROUNDED_MS
     shown: bool = True
     length_ms: float = 0.0
+    all_black: str = ""  # what is to be said where all frames were so
     n_steps: int = 0
     n_odd: int = 0
     n_left_out: int = 0
@@ -149,6 +150,8 @@ class FrameTimes:
 
     def doubt(self) -> str:
         """What is to be said of them; empty where all is well."""
+        if self.all_black:
+            return self.all_black
         if not self.n_steps or self._last is None:
             return ""
         wanted, all_steps = 1000 / self.rate, self._last - self._first

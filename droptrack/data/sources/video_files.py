@@ -99,7 +99,7 @@ def open_video(path: Path, options: ReadOptions) -> Source:
     share = shown_share(path) if begins_with(path, MPEG_4) else 1.0
     cut = (1 - share) * n_frames > 0.5  # by an edit list; where, FFmpeg knows
     return Source(
-        images=images or _converted(path, read_capture(capture, n_frames, times)),
+        images=images or _converted(path, read_capture(capture, n_frames, times), times),
         n_frames=round(share * n_frames) if cut else n_frames,
         counted=begins_with(path, COUNTING) and not cut,
         fps=times.rate if note else fps,
@@ -185,11 +185,15 @@ def read_capture(
         capture.release()
 
 
-def _converted(path: Path, images: Iterator[tuple[int, Image]]) -> Iterator[tuple[int, Image]]:
+def _converted(
+    path: Path, images: Iterator[tuple[int, Image]], times: FrameTimes
+) -> Iterator[tuple[int, Image]]:
     """The same images; raises DroptrackError where OpenCV could not convert the first of them.
 
+    Where all are black, that is a doubt, which `times` keep.
+
     The FFmpeg of OpenCV 4.14 does not convert interlaced frames, and OpenCV gives what was in the
-    memory instead, without a word. The luma of such a frame can be had all the same.
+    memory instead, without a word. The luma of such a frame can be had from some files.
     """
     with opencv_name(path) as name, without_log():
         capture = cv2.VideoCapture(
@@ -213,9 +217,9 @@ def _converted(path: Path, images: Iterator[tuple[int, Image]]) -> Iterator[tupl
         n_black += not known and not image.any()
         yield index, image
     if n_black == n_seen > 1:
-        raise DroptrackError(
-            f"{path}: all its frames are black, as OpenCV makes interlaced ones; if it is "
-            f"interlaced, make them whole: {DEINTERLACE}"
+        times.all_black = (
+            "all its frames are black, as OpenCV makes interlaced ones; if it is interlaced, make "
+            f"them whole: {DEINTERLACE}"
         )
 
 

@@ -25,6 +25,10 @@ KINDS = (
     ("v.mkv", "MJPG", True),
     ("v.mov", "MJPG", True),
     ("v.avi", "HFYU", True),
+    ("v.mkv", "mp4v", False),
+    ("v.webm", "VP80", False),
+    ("v.ts", "MPG2", False),
+    ("v.mpg", "MPG2", False),
 )
 
 

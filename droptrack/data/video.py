@@ -16,12 +16,9 @@ from droptrack.data.frames import Frame, as_frame
 from droptrack.data.levels import EIGHT_BITS, Levels, given_levels, levels_in, levels_of_bits
 from droptrack.data.sources.image_files import IMAGE_SUFFIXES, TIFF_SUFFIXES, image_files
 from droptrack.data.sources.image_sequences import open_image, open_sequence
-from droptrack.data.sources.microscopy import (
-    MICROSCOPY_SUFFIXES,
-    open_microscopy,
-    refuse_known,
-)
+from droptrack.data.sources.microscopy import MICROSCOPY_SUFFIXES, open_microscopy
 from droptrack.data.sources.opencv_names import opencv_name
+from droptrack.data.sources.other_formats import explain_unread, refuse_known
 from droptrack.data.sources.phantom import open_cine
 from droptrack.data.sources.photron import open_mraw
 from droptrack.data.sources.source import N_SAMPLES, Image, ReadOptions, Source
@@ -72,6 +69,11 @@ class Video:
         self._first = next(self._images, None)
         if self._first is None:
             raise DroptrackError(f"{source}: has no frame that can be decoded; is it cut off?")
+        if self._first[1].dtype.kind not in "buif":
+            raise DroptrackError(
+                f"{source}: its values are of type {self._first[1].dtype}, not grey levels; save "
+                "what is to be seen, as tifffile.imwrite('OUT.tif', abs(array))"
+            )
         self.levels = self._choose_levels(opened, options)
         height, width = self._first[1].shape[:2]
         self.says_fps = math.isfinite(opened.fps) and 0 < opened.fps <= MAX_FPS
@@ -103,6 +105,11 @@ class Video:
         return self._doubt or (self._times.doubt() if self._times is not None else "")
 
     @property
+    def n_left_out(self) -> int:
+        """Frames so far that are missing, by the times of those around them."""
+        return self._times.n_left_out if self._times is not None else 0
+
+    @property
     def n_lost(self) -> int:
         """Frames so far that came while a stream was away, by its rate."""
         return self._outages.n_frames
@@ -115,10 +122,10 @@ class Video:
         if self._first is None:
             raise ValueError("frames can be read once")
         first, self._first = self._first, None
-        yield first[0], as_frame(first[1], self.levels)
-        for index, image in self._images:
+        for index, image in chain([first], self._images):
             self._refuse_another_kind(index, image, first[1])
-            yield index, as_frame(image, self.levels)
+            if _shows_something(image):
+                yield index, as_frame(image, self.levels)
 
     def _choose_levels(self, opened: Source, options: ReadOptions) -> Levels:
         assert self._first is not None
@@ -133,6 +140,8 @@ class Video:
             ahead = list(islice(self._images, N_SAMPLES - 1))
             self._images = chain(ahead, self._images)
             samples = [image for _, image in [self._first, *ahead]]
+        if not any(map(_shows_something, samples)):
+            raise DroptrackError(f"{self.source}: has no finite value in its frames")
         return levels_in([_without_alpha(image) for image in samples])
 
     def _refuse_another_kind(self, index: int, image: Image, first: Image) -> None:
@@ -171,10 +180,11 @@ def _open(source: str, options: ReadOptions, outages: Outages) -> tuple[Source, 
             return open_mraw(path, options), False
         if suffix in MICROSCOPY_SUFFIXES:
             return open_microscopy(path, options), False
+        refuse_known(path)
         try:
             return open_video(path, options), False
         except DroptrackError:
-            refuse_known(path)
+            explain_unread(path)
             raise
     is_camera = source.isascii() and source.isdecimal()
     if not is_camera and "://" not in source:
@@ -183,6 +193,11 @@ def _open(source: str, options: ReadOptions, outages: Outages) -> tuple[Source, 
         hint = "; write out what ~ stands for" if source.startswith("~") else ""
         raise DroptrackError(f"{source}: no such video, image folder or camera{hint}")
     return open_stream(source, options, outages)
+
+
+def _shows_something(image: Image) -> bool:
+    """Whether an image has a value; programs write frames that they lack as NaN."""
+    return image.dtype.kind != "f" or bool(np.isfinite(image).any())
 
 
 def _without_alpha(image: Image) -> Image:

@@ -11,7 +11,7 @@ only some tiles are, so that the choice takes about as long for all videos.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 
 import cv2
@@ -45,7 +45,7 @@ CLEAR = 0.6  # evidence that one droplet at least has to have: dust and digits h
 MIN_INSIDE = 0.8  # share of a box's area
 MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0.85 and more
 MIN_SHOWN = 3  # scales that full evidence takes
-MIN_SHARE = 0.2  # weight of the evidence at all scales, against that in the tiles of one
+MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
 TOLERANCE = 0.02  # between the qualities of scales that are as good
 
 
@@ -65,12 +65,13 @@ class ScaleChoice:
 @dataclass(frozen=True, kw_only=True)
 class _Look:
     """What one scale shows of a frame: boxes (N, 4) px of the frame, their scores (N,), and the
-    tiles (T, 4) [left, top, right, bottom] px that were looked at.
+    tiles (T, 4) [left, top, right, bottom] px that were looked at; whether these are all.
     """  # noqa: D205
 
     boxes: Floats
     scores: Floats
     tiles: Floats
+    is_whole: bool
 
     def covers(self, boxes: Floats, size: tuple[int, int], margin: float) -> Bools:
         """Which boxes (N,) lie whole in a tile, or end with it at the frame's edge."""
@@ -78,6 +79,12 @@ class _Look:
         first = np.where(self.tiles[:, :2] > 0, self.tiles[:, :2] + margin, -np.inf)
         last = np.where(self.tiles[:, 2:] < size, self.tiles[:, 2:] - margin, np.inf)
         inside = (low[:, None] >= first) & (high[:, None] <= last)
+        return np.asarray(np.any(np.all(inside, axis=2), axis=1), bool)
+
+    def reaches(self, boxes: Floats) -> Bools:
+        """Which boxes (N,) have their centres in a tile, whole or not."""
+        centres = boxes[:, None, :2]
+        inside = (centres >= self.tiles[:, :2]) & (centres <= self.tiles[:, 2:])
         return np.asarray(np.any(np.all(inside, axis=2), axis=1), bool)
 
 
@@ -97,6 +104,7 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     small = SMALL * _typical(diameters)
     gained: dict[float, float] = {}
     possible: dict[float, float] = {}
+    there: dict[float, float] = {}  # whole, or cut by the tiles' edges
     for one in seen:
         worth = one.evidence - np.where(one.diameters < small, SMALL_DOUBT, DOUBT)
         worth *= one.diameters
@@ -106,9 +114,10 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
             gained[scale] = gained.get(scale, 0.0) + float(worth[sure].sum())
             real = counted & (worth > 0)
             possible[scale] = possible.get(scale, 0.0) + float(worth[real].sum())
-    most = max(possible.values())
+            cut = look.reaches(one.boxes) & (worth > 0)
+            there[scale] = there.get(scale, 0.0) + float(worth[real | cut].sum())
     quality = {
-        scale: gained[scale] / ((1 - MIN_SHARE) * possible[scale] + MIN_SHARE * most)
+        scale: gained[scale] / ((1 - MIN_CUT) * possible[scale] + MIN_CUT * there[scale] or 1.0)
         for scale in gained
     }
     if max(quality.values()) < MIN_QUALITY:
@@ -117,14 +126,19 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         wanted = DIAMETER_PX / float(np.median(np.concatenate(clear)))
         nearest = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
         return ScaleChoice(nearest, quality, diameters)
-    return ScaleChoice(_finer_of_the_best(quality), quality, diameters)
+    whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
+    return ScaleChoice(_finer_of_the_best(quality, whole), quality, diameters)
 
 
-def _finer_of_the_best(quality: dict[float, float]) -> float:
+def _finer_of_the_best(quality: dict[float, float], whole: Collection[float]) -> float:
     """Two thirds of the way through the best scale and its neighbours that are as good.
 
-    >>> _finer_of_the_best({0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99, 2.0: 0.98, 2.8: 0.98})
-    2.0
+    Half of the way where the last of them is not `whole`, but looked at in some tiles only: such
+    inputs are large, and take long.
+
+    >>> quality = {0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99, 2.0: 0.98, 2.8: 0.98}
+    >>> _finer_of_the_best(quality, quality), _finer_of_the_best(quality, [0.5])
+    (2.0, 1.4)
     """
     scales = list(quality)
     good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]
@@ -135,6 +149,8 @@ def _finer_of_the_best(quality: dict[float, float]) -> float:
     last = best
     while last < len(scales) - 1 and good[last + 1]:
         last += 1
+    if scales[last] not in whole:
+        return scales[first + (last - first) // 2]
     return scales[first + math.ceil(2 * (last - first) / 3)]
 
 
@@ -213,6 +229,7 @@ def _look(frame: Frame, detector: Detector, default: float) -> dict[float, _Look
             boxes=seen.boxes / scale,
             scores=seen.scores,
             tiles=np.minimum(tiles / scale, [width, height, width, height]),
+            is_whole=len(tiles) == math.prod(_n_tiles(size)),
         )
         found = np.concatenate([found, looks[scale].boxes[looks[scale].scores >= SURE, :2]])
     return looks
@@ -223,7 +240,7 @@ def _tiles(size: tuple[int, int], places: Floats) -> Floats:
 
     Where there are none, those in the middle.
     """
-    columns, rows = (max(1, math.ceil(side / TILE)) for side in size)
+    columns, rows = _n_tiles(size)
     starts = [
         np.linspace(0, max(0, side - TILE), n)
         for side, n in zip(size, (columns, rows), strict=True)
@@ -235,6 +252,11 @@ def _tiles(size: tuple[int, int], places: Floats) -> Floats:
         order = np.lexsort([away, -within.all(axis=2).sum(axis=0)])
         corners = corners[order[:MAX_TILES]]
     return np.hstack([corners, corners + TILE])
+
+
+def _n_tiles(size: tuple[int, int]) -> tuple[int, int]:
+    """Columns and rows of the tiles that an input of a size has."""
+    return max(1, math.ceil(size[0] / TILE)), max(1, math.ceil(size[1] / TILE))
 
 
 def _cut(image: Frame, tile: Floats) -> Frame:

@@ -28,7 +28,7 @@ class DetectorConfig:
     footage, and for others as large as the cfg says, in the frames' shape. `score`: the minimum
     score of a droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets
     are darker than their surroundings.
-    `normalise`: show the network grey frames of full contrast (`detection.normalisation`); None:
+    `normalise`: show the network grey frames of full contrast (`data.normalisation`); None:
     the bundled models only, which learned them so. `region`: where droplets count, a polygon or an
     image, see `data.region.Region.read`; None: everywhere. `shape`: measure the droplets' outlines,
     for their sizes and shapes. `names`: of the classes of a network with several, and `cells`, how

@@ -29,7 +29,7 @@ from droptrack.network.quantisation import sha256_of
 from droptrack.pipeline.classes import Classes, classes_of
 from droptrack.pipeline.config import ImagesConfig
 from droptrack.pipeline.image_results import Content, Image, ImageResults
-from droptrack.pipeline.notes import Say, to_stderr
+from droptrack.pipeline.notes import Say, left_out, to_stderr
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 from droptrack.pipeline.results_folder import has_content, whole_name
 from droptrack.progress import progress_bar
@@ -151,9 +151,14 @@ def _read_images(config: ImagesConfig, say: Say) -> Iterator[Image]:
                 "another width: --um-per-px, none: --pixels-only"
             )
             told = um_per_px
+        for note in video.notes:
+            say(printable(note))
         for number, frame in video.numbered():
             yield Image(source=file, number=number, frame=frame, um_per_px=um_per_px)
             n += 1
+        for doubt in (video.doubt, left_out(video)):
+            if doubt:
+                say(f"{printable(str(file))}: {doubt}")
     if not n:
         raise DroptrackError("name an image, a folder of images, or a video")
 

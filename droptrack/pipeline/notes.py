@@ -19,12 +19,27 @@ def say_what_is_missing(name: str, source: Video, n_missing: int, say: Say) -> N
     """Tell how many frames of a source were lost or damaged."""
     if source.n_lost:
         say(f"{name}: about {source.n_lost} frames lost while the stream was away")
-    elif n_missing > source.n_absent:
+        return
+    n_missing -= source.n_absent
+    n_left_out = min(n_missing, source.n_left_out)
+    if n_left_out > 0:
+        say(f"{name}: {left_out(source)}")
+    if n_missing > n_left_out:
         claims = f"of the {source.info.n_frames} frames it claims " if source.counted else "frames "
         say(
-            f"{name}: {n_missing - source.n_absent} {claims}could not be decoded: it is damaged"
+            f"{name}: {n_missing - n_left_out} {claims}could not be decoded: it is damaged"
             f"{', or ends early' if source.counted else ''}"
         )
+
+
+def left_out(source: Video) -> str:
+    """How many frames are missing between others; empty where none is."""
+    if not source.n_left_out:
+        return ""
+    return (
+        f"{source.n_left_out} frames are missing, by the times of those around them: damaged, or "
+        "never recorded; the others have their own numbers"
+    )
 
 
 def say_what_is_unsure(source: str, results: Results, say: Say) -> None:

@@ -19,7 +19,12 @@ from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_choice
 from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Engines, Network, choose_detector
-from droptrack.detection.model_choice import MIN_AGREEMENT, agreement
+from droptrack.detection.model_choice import (
+    MIN_AGREEMENT,
+    MIN_SIDE_PX,
+    agreement,
+    typical_side,
+)
 from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
 from droptrack.errors import DroptrackError
@@ -202,7 +207,7 @@ def _chosen(
     if _chooses_model(config):
         default = Canvas.like(width, height, (plan.cfg.width, plan.cfg.height))
         own = plan.canvases[0][1] if plan.canvases else default
-        model, agreed = _chosen_model(config, own, samples, engines)
+        model, agreed = _chosen_model(config, own, samples, engines, given=bool(plan.canvases))
         cfg, weights = find_network(Path(model), size=config.size)
         settings: dict[str, Value] = {
             "model": model,
@@ -225,9 +230,12 @@ def _chosen(
 
 
 def _chosen_model(
-    config: DetectorConfig, canvas: Canvas, samples: _Samples, engines: Engines
+    config: DetectorConfig, canvas: Canvas, samples: _Samples, engines: Engines, *, given: bool
 ) -> tuple[str, float]:
-    """The bundled model that suits some frames, and how well both agree on these."""
+    """The bundled model that suits some frames, and how well both agree on these.
+
+    `given`: whether the canvas is; otherwise the model for footage chooses its scale.
+    """
     found = []
     for model in (SIMULATIONS, FOOTAGE):
         cfg, weights = find_network(Path(model))
@@ -242,7 +250,8 @@ def _chosen_model(
         _, shown = samples.as_seen(config, weights)
         found.append([detector.detect([frame])[0] for frame in shown])
     agreed = agreement(*found)
-    return SIMULATIONS if agreed >= MIN_AGREEMENT else FOOTAGE, agreed
+    large = given or typical_side(found[0]) * canvas.scale >= MIN_SIDE_PX
+    return SIMULATIONS if large and agreed >= MIN_AGREEMENT else FOOTAGE, agreed
 
 
 def _canvas_at(scale: float, width: int, height: int) -> Canvas:

@@ -48,7 +48,7 @@ def numbers_shown(video: Video) -> dict[int, int]:
 
 
 @pytest.mark.parametrize(
-    "what", ["list", "sizes", "chunk", "entry", "both", "index", "index kinds"]
+    "what", ["list", "sizes", "chunk", "entry", "both", "index", "index kinds", "two index kinds"]
 )
 def test_frames_of_an_avi_keep_their_numbers_whatever_of_it_is_damaged(
     tmp_path: Path, what: str
@@ -74,8 +74,11 @@ def test_frames_of_an_avi_keep_their_numbers_whatever_of_it_is_damaged(
         data[index - HEADER :] = bytes(len(data) - index + HEADER)
         data[chunks[7] - 1 : chunks[10] + 5] = bytes(chunks[10] + 6 - chunks[7])
         lost = {6, 7, 8, 9, 10}
-    else:
+    elif what == "index kinds":
         data[index + 16 * 3] ^= 1  # 10dc, of which there is no other
+    else:
+        for number in (3, 9):
+            data[index + 16 * number] ^= 1
     path.write_bytes(data)
     shown = numbers_shown(Video(str(path)))
     assert all(number == seen for number, seen in shown.items())

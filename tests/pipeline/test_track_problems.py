@@ -98,6 +98,22 @@ def test_frames_that_cannot_be_decoded_are_counted_and_said(sine: Path, tmp_path
     assert said in output
 
 
+def test_frames_that_were_never_recorded_are_counted_and_said(tmp_path: Path) -> None:
+    """Frames 4 to 6 of 12, as their times show: by `track` and by `detect`."""
+    video = Path(__file__).parents[1] / "reference" / "videos" / "uneven.mkv"
+    options = ("--backend", "opencv", "--size", "64x32")
+    output = track(video, tmp_path / "tracks", *options)
+    assert output.count("3 frames are missing, by the times of those around them") == 1
+    assert "could not be decoded" not in output
+    summary = json.loads((tmp_path / "tracks" / "report.json").read_text())["summary"]
+    assert (summary["n_frames"], summary["n_frames_missing"]) == (9, 3)
+    done = runner.invoke(
+        app, ["detect", str(video), "--out", str(tmp_path / "detections"), *options]
+    )
+    assert done.exit_code == 0
+    assert done.output.count("3 frames are missing, by the times of those around them") == 1
+
+
 def test_a_full_disk_is_said_in_one_line(sine: Path, tmp_path: Path) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("needs /dev/full, which only Linux has")

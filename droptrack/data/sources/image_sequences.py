@@ -20,6 +20,7 @@ from droptrack.data.sources.tiff_stacks import is_first_of_set, n_images, open_s
 from droptrack.errors import DroptrackError
 
 MAX_SPARSE = 1000  # numbers for each image, above which they are times rather than frames
+VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm", ".mpg", ".wmv", ".m4v", ".cine", ".mraw"}
 N_NAMED = 4  # sequences that a message names
 
 
@@ -167,6 +168,8 @@ def _what_is_there(folder: Path, pattern: str) -> str:
         if not pattern.lower().endswith(tuple(IMAGE_SUFFIXES)):
             hint = "; of several videos: droptrack batch"
         return f"{folder}: has no image whose name is {pattern}{hint}"
+    if any(Path(name).suffix.lower() in VIDEOS for name in names):
+        return f"{folder}: has no image, but videos: name one of them, or all to droptrack batch"
     kinds = sorted({Path(name).suffix.lower() or "no suffix" for name in names})[:N_NAMED]
     return (
         f"{folder}: has no frame: no image ({' '.join(sorted(IMAGE_SUFFIXES))}), only "

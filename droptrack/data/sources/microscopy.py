@@ -1,5 +1,5 @@
 """Files of microscopes: Nikon's ``.nd2``, Zeiss' ``.czi``, Leica's ``.lif``, by the readers in the
-extra ``[microscopy]``; and what to do with formats that are not read here.
+extra ``[microscopy]``.
 """  # noqa: D205
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,13 +12,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from droptrack.data.sources.other_formats import BIOFORMATS
 from droptrack.data.sources.source import Image, ReadOptions, Source, random_access
 from droptrack.errors import DroptrackError
 
 MICROSCOPY_SUFFIXES = (".nd2", ".czi", ".lif")
-BIOFORMATS = (
-    "save it as OME-TIFF with Fiji (File > Import > Bio-Formats), or bfconvert IN OUT.ome.tif"
-)
 # times that a file may be smaller than its images, and bytes of these that are no matter
 MAX_SHRUNK, MIN_SHRUNK = 100, 10_000_000
 # where ZEN writes metres a pixel, seconds a frame, and bits of a level
@@ -27,19 +25,6 @@ CZI_PLACES = (
     ".//Image/Dimensions/T/Positions/Interval/Increment",
     ".//Image/ComponentBitCount",
 )
-# formats that people bring and that are not read here -> how to convert them
-CONVERT = {
-    **dict.fromkeys((".lsm", ".oib", ".oif", ".oir", ".vsi", ".ims", ".dv", ".stk"), BIOFORMATS),
-    **dict.fromkeys((".zvi", ".lof", ".xlef", ".mvd2", ".sld", ".zarr"), BIOFORMATS),
-    **dict.fromkeys((".seq", ".fmf", ".ufmf"), "save it as TIFF or AVI with the camera's program"),
-    ".sif": "save it as TIFF with Andor Solis",
-    ".spe": "save it as TIFF with LightField",
-    ".his": "save it as TIFF with HCImage",
-    ".b16": "save it as TIFF with pco.camware",
-    ".heic": "magick IN OUT.png",
-    ".pdf": "it holds no frames; ask for the video it was made from",
-    **dict.fromkeys((".mat", ".npy", ".npz", ".h5", ".hdf5"), "tifffile.imwrite('OUT.tif', array)"),
-}
 
 
 def open_microscopy(path: Path, options: ReadOptions) -> Source:
@@ -57,13 +42,6 @@ def open_microscopy(path: Path, options: ReadOptions) -> Source:
     except Exception as error:  # noqa: BLE001  these readers raise all kinds for damaged files
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise DroptrackError(f"{path}: cannot be read as {suffix}: {reason}") from None
-
-
-def refuse_known(path: Path) -> None:
-    """Raise DroptrackError with the cure for a format that is known, but not read here."""
-    cure = CONVERT.get(path.suffix.lower())
-    if cure is not None:
-        raise DroptrackError(f"{path}: {path.suffix} is not read here; {cure}")
 
 
 def _open_nd2(path: Path, options: ReadOptions) -> Source:

@@ -10,6 +10,9 @@ from typing import Any
 
 import cv2
 
+# FFmpeg prints what it finds damaged, line by line; what of it matters is said by droptrack
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
 SILENT = 0  # OpenCV's LOG_LEVEL_SILENT
 CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")  # a new line, for one
 

@@ -17,3 +17,6 @@ ff -i steady.mp4 -vf setfield=tff -c:v prores_ks -profile:v 0 -flags +ildct inte
 # 12 bits in 16, as PNG
 ff -f lavfi -i "nullsrc=s=64x48:r=25,format=gray16le,geq=lum='16*if(lt(X,16)*lt(Y,24),240,20+15*N)'" \
 	-frames:v 12 -c:v png -pix_fmt gray16be grey12.mov
+ff -i steady.mp4 -c:v libx264 -x264-params tff=1 -flags +ildct+ilme -qp 10 -pix_fmt yuv420p interlaced.mp4
+# pixels twice as wide as high
+ff -i steady.mp4 -vf setsar=2 -c:v libx264 -bf 2 -g 6 -qp 10 -pix_fmt yuv420p wide.mp4

@@ -33,7 +33,7 @@ MAX_AREA_PX = 9e6  # of an input
 MARGIN_PX = 2.0  # of the input, between a whole droplet and a tile's edge
 MAX_TILES = 6  # looked at in a frame, at each scale
 KNOWN_PX = (12.0, 120.0)  # sizes of droplets in the input
-MIN_SEEN_PX = 7.0  # of the frame: what is smaller may be dust, or a block of JPEG
+MIN_SEEN_PX = 6.0  # of the frame: what is smaller may be dust, or a block of JPEG
 MIN_SCORE = 0.1  # of a detection that counts at all
 SURE = 0.4  # of one that a user would get
 SAME_IOU = 0.5  # of two boxes of one droplet
@@ -46,7 +46,7 @@ MIN_INSIDE = 0.8  # share of a box's area
 MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0.85 and more
 MIN_SHOWN = 3  # scales that full evidence takes
 MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
-TOLERANCE = 0.02  # between the qualities of scales that are as good
+TOLERANCE = 0.06  # between the qualities of scales that are as good
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     """The best scale for frames (H, W, 3) of one size; the default where nothing is clear.
 
     `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. Of
-    neighbouring scales as good as the best, within TOLERANCE, it is one of the finer, which draw
-    tighter boxes and find smaller droplets, and not the last of several. Where detections of all
+    neighbouring scales as good as the best, within TOLERANCE, it is the finest, which draws tighter
+    boxes and finds smaller droplets. Where detections of all
     scales are in doubt, it is the one that suits clear droplets, if half of the frames have any.
     """
     seen = [_seen(frame, detector, default) for frame in frames]
@@ -127,18 +127,18 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
         nearest = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
         return ScaleChoice(nearest, quality, diameters)
     whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
-    return ScaleChoice(_finer_of_the_best(quality, whole), quality, diameters)
+    return ScaleChoice(_finest_of_the_best(quality, whole), quality, diameters)
 
 
-def _finer_of_the_best(quality: dict[float, float], whole: Collection[float]) -> float:
-    """Two thirds of the way through the best scale and its neighbours that are as good.
+def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -> float:
+    """The finest of the best scale and its neighbours that are as good: for small droplets, too.
 
-    Half of the way where the last of them is not `whole`, but looked at in some tiles only: such
-    inputs are large, and take long.
+    Half of the way to it where it is not `whole`, but looked at in some tiles only: such inputs are
+    large, and take long.
 
     >>> quality = {0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99, 2.0: 0.98, 2.8: 0.98}
-    >>> _finer_of_the_best(quality, quality), _finer_of_the_best(quality, [0.5])
-    (2.0, 1.4)
+    >>> _finest_of_the_best(quality, quality), _finest_of_the_best(quality, [0.5])
+    (2.8, 1.4)
     """
     scales = list(quality)
     good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]
@@ -149,9 +149,7 @@ def _finer_of_the_best(quality: dict[float, float], whole: Collection[float]) ->
     last = best
     while last < len(scales) - 1 and good[last + 1]:
         last += 1
-    if scales[last] not in whole:
-        return scales[first + (last - first) // 2]
-    return scales[first + math.ceil(2 * (last - first) / 3)]
+    return scales[last if scales[last] in whole else first + (last - first) // 2]
 
 
 @dataclass(frozen=True, kw_only=True)

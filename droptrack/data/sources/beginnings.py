@@ -173,7 +173,7 @@ def _has_first_frame(data: mmap.mmap, start: int, end: int, tracks: set[int]) ->
         if kind in (SIMPLE_BLOCK, BLOCK):
             at = first
             if kind == BLOCK:  # a group, whose first part it is
-                at = next(_elements(data, first, first + size, 1))[1]
+                at = next(_elements(data, first, first + size, 1), (b"", first, None))[1]
             found = data[at] & 0x7F in tracks if at < len(data) else False
         place = first + size
     return place >= min(end, len(data))

@@ -83,7 +83,7 @@ def _draw(name: str, seed: int) -> _Drawn:
     outlines = list(ARRANGEMENTS[name](rng, canvas))
     covers = np.zeros(SHAPE, np.int64)
     for one in outlines:
-        paint(canvas, one.patch, one.distance, look, one.radius, one.rim, rng)
+        paint(canvas, one, look, rng)
         covers[one.patch.rows, one.patch.columns] += one.distance < 0.5
         if rng.random() < look.inclusions:
             paint_inside(canvas, one, rng)

@@ -16,6 +16,7 @@ from droptrack.data.arrays import Float32s, Floats
 
 SHAPE = (HEIGHT, WIDTH)
 MAX_NEIGHBOURS = 12  # of a droplet in a foam
+MAX_SUSPENDED = 450  # droplets of an image
 MAX_DEFOCUS = 0.4  # of a droplet's radius, above which it is a blur without a label
 
 
@@ -81,7 +82,7 @@ def suspension(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     spread = rng.uniform(0.3, 0.9)
     depth = rng.uniform(0, 0.35)
     n = int(rng.uniform(0.05, 0.5) * WIDTH * HEIGHT / (np.pi * typical**2 * np.exp(2 * spread**2)))
-    for _ in range(min(n, 450) + 1):
+    for _ in range(min(n, MAX_SUSPENDED) + 1):
         radius = float(np.clip(typical * np.exp(rng.normal(0, spread)), 3, 250))
         defocus = radius * abs(rng.normal(0, depth))
         centre = rng.uniform(0, [WIDTH, HEIGHT])

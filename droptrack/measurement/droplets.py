@@ -16,12 +16,13 @@ from droptrack.measurement.shapes import (
     COLUMNS,
     OUTLINE_SEEN,
     measure_shapes,
+    smooth_outlines,
     whole_circles,
-    whole_outlines,
     without_outliers,
 )
 
 MAX_RATIO = 1.3  # of the sizes of an outline's box and the detector's, either way
+MAX_RATIO_BENT = 1.15  # of their sides, where an outline is not smooth
 MAX_APART = 0.25  # of their centres, in sides of the box
 EDGE_PX = 1.0  # a box that ends nearer to the image's edge is cut by it
 
@@ -84,11 +85,12 @@ def measure_droplets(
         )
     traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes), region)
     traced = _its_own(traced, boxes, region)
-    whole, good = whole_outlines(traced.radii)
+    radii, whole, good, bent = smooth_outlines(traced.radii)
+    traced = replace(traced, radii=radii)
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)
     quantities, middles, outline_boxes, edges = measure_shapes(centres, whole)
     shapes[:, :OUTLINE_SEEN] = quantities
-    another = good & ~_alike(outline_boxes, boxes)  # as the shell round a core
+    another = good & ~_alike(outline_boxes, boxes, bent)  # as the shell round a core
     shapes[another, :OUTLINE_SEEN] = np.nan
     good &= ~another
     seen = np.isfinite(traced.radii)
@@ -118,12 +120,17 @@ def measure_droplets(
     )
 
 
-def _alike(outlined: Floats, boxes: Floats) -> Bools:
-    """Whether outlines' boxes (N, 4) are about as large as those given, and at their places."""
-    size, expected = (np.sqrt(one[:, 2:].prod(axis=1)) for one in (outlined, boxes))
-    alike = (size <= MAX_RATIO * expected) & (expected <= MAX_RATIO * size)
+def _alike(outlined: Floats, boxes: Floats, bent: Bools) -> Bools:
+    """Whether outlines' boxes (N, 4) are about as large as those given, and at their places.
+
+    Of those that are `bent` (N,), the width and the height must each be about the same.
+    """
+    ratios = outlined[:, 2:] / boxes[:, 2:]
+    size = np.sqrt(ratios.prod(axis=1))
+    alike = (size <= MAX_RATIO) & (size * MAX_RATIO >= 1)
+    sides = (ratios <= MAX_RATIO_BENT) & (ratios * MAX_RATIO_BENT >= 1)
     near = np.abs(outlined[:, :2] - boxes[:, :2]) <= MAX_APART * boxes[:, 2:]
-    return np.asarray(alike & near.all(axis=1))
+    return np.asarray(alike & (sides.all(axis=1) | ~bent) & near.all(axis=1))
 
 
 def _its_own(traced: Outlines, boxes: Floats, region: Region | None) -> Outlines:

@@ -19,6 +19,7 @@ DEFINITION = (
     "of the outline at half of the edge's height; of a ring, its outside; films between droplets "
     "belong to none"
 )
+RAYS = DIRECTIONS @ [1, 1j]  # the directions as complex numbers
 PRODUCTS = np.column_stack([DIRECTIONS**2, DIRECTIONS.prod(axis=1)])
 AREA, DIAMETER, OUTLINE_SEEN, AT_EDGE = map(
     COLUMNS.index, ("area_px2", "diameter_px", "outline_seen", "at_edge")
@@ -27,6 +28,10 @@ MIN_SEEN = 0.5  # share of rays that must meet an edge for a droplet to be measu
 MAX_GAP = N_RAYS // 6  # rays in a row that may meet none
 OUTLIER_RAYS = 4  # an edge that is off those so many rays before and after it is not the droplet's,
 OUTLIER, OUTLIER_PX = 0.2, 1.5  # if it is off by this share of the radius, and this much
+BEND_RAYS = 2  # how sharply an outline bends inwards is told from so many rays before and after
+BEND, BEND_PX = np.radians(30.0), 0.5  # angle from which on, and how deep, it is a bend
+JAG_RAYS = 4  # an edge so many rays from a bend, or fewer, is dropped where it is off the median
+JAG, JAG_PX = 0.06, 0.7  # of as many before and after it by this share of the radius, and this much
 MIN_SEEN_OF_CUT = 0.35  # share of the outline from which a whole circle is told
 MAX_RESIDUAL, MAX_RESIDUAL_PX = 0.01, 0.1  # of points from that circle, rms
 
@@ -55,6 +60,73 @@ def whole_outlines(radii: Floats) -> tuple[Floats, Bools]:
     return whole, good
 
 
+def smooth_outlines(radii: Floats) -> tuple[Floats, Floats, Bools, Bools]:
+    """Outlines without jags, of radii (N, K): where they bend inwards, edges are looked at again.
+
+    Those that are off the ones around them are dropped. Returns the radii that are left; the same
+    with gaps bridged; for which droplets (N,) that may be done; and which outlines (N,) had bends:
+    of a hollow droplet, or since a part of it is a wall's or a neighbour's.
+
+    >>> rough = np.full((2, N_RAYS), 20.0)
+    >>> rough[1, 5:7] = 25
+    >>> left, whole, good, bent = smooth_outlines(rough)
+    >>> np.isnan(left).sum(axis=1).tolist(), float(whole.max()), good.tolist(), bent.tolist()
+    ([0, 2], 20.0, [True, True], [False, True])
+    """
+    whole, good = whole_outlines(radii)
+    bends = _bends(whole)
+    bent = np.asarray(bends.any(axis=1))
+    if bent.any():
+        radii = radii.copy()
+        radii[bent] = _without_jags(radii[bent], whole[bent], bends[bent])
+        whole[bent], good[bent] = whole_outlines(radii[bent])
+    return radii, whole, good, bent
+
+
+def _bends(radii: Floats) -> Bools:
+    """Where whole outlines (N, K) bend inwards sharply; nowhere if they are NaN."""
+    places = radii * RAYS
+    before = places - np.roll(places, BEND_RAYS, axis=1)
+    after = np.roll(before, -BEND_RAYS, axis=1)
+    turn = before * after.conj()  # its angle is that of the bend
+    deep = turn.imag > BEND_PX * np.abs(before + after)
+    return np.asarray(deep & (turn.imag > np.tan(BEND) * turn.real))
+
+
+def _without_jags(radii: Floats, whole: Floats, bends: Bools) -> Floats:
+    """Radii (N, K) without those near bends (N, K) that are far from the median around them.
+
+    In coordinates in which the outline is as long as wide, so that its ends do not stick out.
+    """
+    _, middles, (xx, yy, xy) = _moments(np.median(_shifted(whole, 1), axis=0))
+    spread = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+    points = whole[..., None] * DIRECTIONS - middles[:, None]
+    scaled = np.linalg.solve(np.linalg.cholesky(spread), points.swapaxes(1, 2))
+    length = np.hypot(scaled[:, 0], scaled[:, 1])
+    off = np.abs(length / np.median(_shifted(length, JAG_RAYS), axis=0) - 1)
+    near = _shifted(bends, JAG_RAYS).any(axis=0)
+    return np.where(near & (off > JAG) & (off * whole > JAG_PX), np.nan, radii)
+
+
+def _shifted(values: Floats | Bools, rays: int) -> Floats:
+    """Values (N, K) of the rays up to so many before and after each: (2 rays + 1, N, K)."""
+    return np.stack([np.roll(values, shift, axis=1) for shift in range(-rays, rays + 1)])
+
+
+def _moments(radii: Floats) -> tuple[Floats, Floats, Floats]:
+    """Areas (N,), centres of mass (N, 2), and second moments (3, N) about them, for an area of 1.
+
+    Of x x, y y and x y, in this order.
+    """
+    share = 2 * np.pi / N_RAYS
+    square = radii**2
+    area = square.sum(axis=1) * (share / 2)
+    first = np.einsum("nk,kc->nc", square * radii, DIRECTIONS) * (share / 3) / area[:, None]
+    second = np.einsum("nk,kc->nc", square * square, PRODUCTS) * (share / 4) / area[:, None]
+    squares = np.column_stack([first**2, first.prod(axis=1)])
+    return area, first, (second - squares).T
+
+
 def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Quantities (N, 8), the first of COLUMNS, of whole outlines; their centres and boxes (N, 4).
 
@@ -65,18 +137,13 @@ def measure_shapes(origins: Floats, radii: Floats) -> tuple[Floats, Floats, Floa
     (-pi/2, pi/2]. Circularity is 4 pi area / perimeter^2, deformation Taylor's
     (major - minor) / (major + minor) (G. I. Taylor 1934). Rows with NaN stay NaN.
     """
-    share = 2 * np.pi / N_RAYS
-    square = radii**2
-    area = square.sum(axis=1) * (share / 2)
-    first = np.einsum("nk,kc->nc", square * radii, DIRECTIONS) * (share / 3) / area[:, None]
-    second = np.einsum("nk,kc->nc", square * square, PRODUCTS) * (share / 4) / area[:, None]
-    xx, yy = (second[:, :2] - first**2).T
-    xy = second[:, 2] - first[:, 0] * first[:, 1]
+    area, first, (xx, yy, xy) = _moments(radii)
     middle, spread = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     major, minor = 4 * np.sqrt(middle + spread), 4 * np.sqrt(np.maximum(middle - spread, 0))
     angle = np.arctan2(2 * xy, xx - yy) / 2
     following = np.roll(radii, -1, axis=1)
-    chords = np.sqrt(square + following**2 - (2 * np.cos(share)) * radii * following)
+    share = 2 * np.pi / N_RAYS
+    chords = np.sqrt(radii**2 + following**2 - (2 * np.cos(share)) * radii * following)
     perimeter = chords.sum(axis=1) * (share / 2 / np.sin(share / 2))  # exact of a circle
     points = np.stack([radii * DIRECTIONS[:, k] for k in range(2)], axis=2)
     columns = np.column_stack(

@@ -68,7 +68,7 @@ def random_look(rng: np.random.Generator, background: float) -> Look:
         rim_px=float(rng.uniform(0.8, 4.5)),
         rim_share=float(rng.uniform(0, 0.09))
         if rng.random() < 0.8
-        else float(rng.uniform(0.1, 0.3)),
+        else float(rng.uniform(0.1, 0.5)),
         second=-rim * float(rng.uniform(0.15, 0.6)) if second else 0.0,
         second_at=float(rng.uniform(1.0, 1.8)),
         core=float(rng.normal(0, 50)) if core else 0.0,

@@ -68,7 +68,7 @@ def plugs(
     middle = rng.uniform(0.25, 0.75, 2) * [WIDTH, HEIGHT]
     main = Channel(centre=middle, angle=angle, width=width)
     if rng.random() < 0.5:
-        _draw_structures(rng, canvas)
+        draw_structures(rng, canvas)
     n = int(rng.integers(1, 4)) if width < 120 else 1
     lanes = []
     for lane in range(n):
@@ -113,9 +113,9 @@ def empty(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     if kind < 0.5:
         for _ in plugs(rng, canvas, suspensions=0):
             pass  # nothing is drawn of them, only their channels
-    elif kind < 0.75:
+    elif kind < 0.65:
         _draw_grid(rng, canvas)
-    _draw_structures(rng, canvas)
+    draw_structures(rng, canvas)
     if rng.random() < 0.5:  # what is out of focus, or a rough wall: blobs, but no outlines
         canvas += texture(rng, SHAPE, log_uniform(rng, 3, 100)) * np.float32(rng.uniform(0, 30))
     yield from ()
@@ -259,7 +259,7 @@ def draw_walls(
         canvas += np.clip(np.float32(0.5) - distance, 0, 1) * np.float32(inside)
 
 
-def _draw_structures(rng: np.random.Generator, canvas: Float32s) -> None:
+def draw_structures(rng: np.random.Generator, canvas: Float32s) -> None:
     """What may be beside channels: a texture, and lines."""
     canvas += texture(rng, SHAPE, float(rng.uniform(3, 40))) * np.float32(rng.uniform(0, 8))
     for _ in range(rng.integers(0, 5)):

@@ -41,6 +41,7 @@ class SceneChoice(StrEnum):
     scattered = "scattered"
     packing = "packing"
     foam = "foam"
+    confined = "confined"
     plugs = "plugs"
     suspension = "suspension"
     empty = "empty"
@@ -57,8 +58,8 @@ MIXTURES = {
     "tiny": tuple("ab"),
     "full": tuple("c"),
     "all": tuple("abccdd"),
-    "footage": (*FOOTAGE, "packing", "suspension", "empty"),
-    "everything": (*FOOTAGE, "packing", "suspension", "empty", *"accddb"),
+    "footage": (*FOOTAGE, "packing", "confined", "suspension", "empty"),
+    "everything": (*FOOTAGE, "packing", "confined", "suspension", "empty", *"accddb"),
 }
 DRAWINGS: dict[str, Callable[[np.random.Generator], Scene]] = {
     **SCENES,
@@ -76,7 +77,7 @@ class Recipe:
     seed: int
     degraded: float = 0.0  # share of the images
     jpeg_quality: int = JPEG_QUALITY
-    format: int = 2  # to be raised when the same seed gives other images
+    format: int = 3  # to be raised when the same seed gives other images
 
     def kinds(self) -> tuple[str, ...]:
         """The names of the scenes that take turns."""

@@ -3,6 +3,7 @@
 scattered   droplets of one or of many sizes, apart or overlapping
 packing     droplets of about one size, close together, with a free surface
 foam        droplets of many sizes pressed into polygons
+confined    a foam or a packing between the walls of a channel
 suspension  droplets of many sizes at many depths, over others and out of focus
 plugs       plugs in a channel with walls, junctions and surroundings
 empty       all that surrounds droplets, without any
@@ -19,6 +20,7 @@ import numpy as np
 
 from data_gen.scenes.appearance import paint, random_look
 from data_gen.scenes.channels import empty, plugs
+from data_gen.scenes.confined import confined
 from data_gen.scenes.distances import box_of
 from data_gen.scenes.inclusions import paint_inside
 from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered, suspension
@@ -55,7 +57,7 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     if stop is not None:
         dark = np.float32(rng.uniform(0, 40))
         canvas[~stop] = dark
-    if rng.random() < (0.4 if name == "empty" else 0.1):
+    if rng.random() < (0.4 if name == "empty" else 0.2):
         add_text(rng, canvas)
     image = _as_shown(_photograph(rng, canvas, faint=0.4 if name == "empty" else 0.12))
     return Scene(image, np.array(boxes).reshape(-1, 4))
@@ -120,6 +122,7 @@ ARRANGEMENTS: dict[str, Arrangement] = {
     "scattered": scattered,
     "packing": packing,
     "foam": foam,
+    "confined": confined,
     "suspension": suspension,
     "plugs": plugs,
     "empty": empty,

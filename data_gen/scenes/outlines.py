@@ -16,8 +16,8 @@ from droptrack.data.arrays import Float32s, Floats
 
 SHAPE = (HEIGHT, WIDTH)
 MAX_NEIGHBOURS = 12  # of a droplet in a foam
-MAX_SUSPENDED = 450  # droplets of an image
-MAX_DEFOCUS = 0.4  # of a droplet's radius, above which it is a blur without a label
+MAX_SUSPENDED = 900  # droplets of an image
+MAX_DEFOCUS = 0.55  # of a droplet's radius, above which it is a blur without a label
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,8 +80,10 @@ def suspension(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     """Droplets or bubbles of all sizes at all depths: many over others, some out of focus."""
     typical = log_uniform(rng, 4, 25)
     spread = rng.uniform(0.3, 0.9)
-    depth = rng.uniform(0, 0.35)
-    n = int(rng.uniform(0.05, 0.5) * WIDTH * HEIGHT / (np.pi * typical**2 * np.exp(2 * spread**2)))
+    depth = rng.uniform(0, 0.5)
+    n = int(
+        log_uniform(rng, 0.05, 1.2) * WIDTH * HEIGHT / (np.pi * typical**2 * np.exp(2 * spread**2))
+    )
     for _ in range(min(n, MAX_SUSPENDED) + 1):
         radius = float(np.clip(typical * np.exp(rng.normal(0, spread)), 3, 250))
         defocus = radius * abs(rng.normal(0, depth))

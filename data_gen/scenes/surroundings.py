@@ -1,7 +1,10 @@
 """What is in an image beside its droplets: background, channels, dirt, text, the field stop."""
 
+from string import ascii_letters
+
 import cv2
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from droptrack.data.arrays import Bools, Float32s, Floats
 
@@ -65,31 +68,60 @@ def add_dirt(rng: np.random.Generator, canvas: Float32s) -> None:
 def add_text(rng: np.random.Generator, canvas: Float32s) -> None:
     """What cameras write into their images: time stamps, scale bars, some in a box; in place."""
     height, width = canvas.shape
-    written = np.zeros(canvas.shape, np.uint8)  # OpenCV 5 writes on bytes only
-    font, size = int(rng.integers(0, 4)), log_uniform(rng, 0.4, 2.0)
-    stroke = int(rng.integers(1, 2 + round(1.5 * size)))
-    corner = (int(rng.integers(4, width // 2)), int(rng.choice([30 * max(1, size), height - 12])))
+    lines = [_caption(rng) for _ in range(1 if rng.random() < 0.8 else int(rng.integers(2, 5)))]
+    written = _written(rng, lines)[: height - 8, : width - 8]
+    rows, columns = (n - m - 4 for n, m in zip(canvas.shape, written.shape, strict=True))
+    top = int(rng.choice([4, rows, rng.integers(4, rows + 1)], p=[0.35, 0.35, 0.3]))
+    left = int(rng.integers(4, columns + 1))
+    place = canvas[top : top + written.shape[0], left : left + written.shape[1]]
+    dark = bool(rng.random() < 0.5)
+    if rng.random() < 0.25:  # in a box of the other colour
+        place[:] = np.float32(255 if dark else 0)
+    place += (np.float32(0 if dark else 255) - place) * written
+
+
+def _caption(rng: np.random.Generator) -> str:
     digits = "".join(str(d) for d in rng.integers(0, 10, 9))
-    text = str(
+    letters = "".join(rng.choice(list(ascii_letters), 8))
+    return str(
         rng.choice(
             [
                 f"{digits[:2]}:{digits[2:4]}.{digits[4:6]}",
-                f"{digits[:4]} {rng.choice(['ms', 'fps', 'um', 'x'])}",
+                f"{digits[:4]} {rng.choice(['ms', 'fps', 'um', 'x', 's'])}",
                 f"-{digits[0]}.{digits[1:4]} s  {digits[4:]}",
-                f"{rng.choice(['Frame', 'Cam', 'Exp', 'Sample'])} {digits[:3]}",
+                f"{rng.choice(['Frame', 'Cam', 'Exp', 'Sample', 'Oil', 'Co'])} {digits[:3]}",
+                f"20{digits[:2]}-{digits[2:4]}-{digits[4:6]}",
+                letters[: rng.integers(2, 9)],
+                f"({rng.choice(list('abcdefgo'))}) {letters[:5]} = {digits[0]}.{digits[1:3]}",
             ]
         )
     )
-    cv2.putText(written, text, corner, font, size, 1, stroke, cv2.LINE_8)
+
+
+def _written(rng: np.random.Generator, lines: list[str]) -> Float32s:
+    """Lines of text, and in two of five cases a scale bar below, as ink (H, W) from 0 to 1."""
+    size = log_uniform(rng, 10, 60)  # px
+    page = np.zeros((int(1.5 * size * (len(lines) + 1)) + 8, int(9.5 * size) + 220), np.uint8)
     if rng.random() < 0.5:
-        x, length = corner[0], int(rng.integers(40, 200))
-        cv2.line(written, (x, corner[1] + 8), (x + length, corner[1] + 8), 1, 3)
-    dark = bool(rng.random() < 0.5)
-    if rng.random() < 0.25:  # in a box of the other colour
-        rows, columns = np.nonzero(written)
-        box = slice(max(0, rows.min() - 4), rows.max() + 5), slice(0, columns.max() + 5)
-        canvas[box] = np.float32(255 if dark else 0)
-    canvas[written > 0] = np.float32(0 if dark else 255)
+        font = int(rng.integers(0, 8)) + (cv2.FONT_ITALIC if rng.random() < 0.2 else 0)
+        stroke = int(rng.integers(1, 2 + round(size / 15)))
+        style = cv2.LINE_8 if rng.random() < 0.5 else cv2.LINE_AA
+        for k, line in enumerate(lines):  # OpenCV 5 writes on bytes only
+            place = (4, int((1.5 * k + 1.1) * size))
+            cv2.putText(page, line, place, font, size / 30, 255, stroke, style)
+    else:
+        thick = int(rng.integers(0, 1 + round(size / 20)))
+        sheet, font_of_pillow = Image.fromarray(page), ImageFont.load_default(size)
+        ImageDraw.Draw(sheet).multiline_text(
+            (4, 2), "\n".join(lines), 255, font_of_pillow, spacing=size / 3, stroke_width=thick
+        )
+        page = np.array(sheet)
+    if rng.random() < 0.4:
+        y, length = page.shape[0] - 6, int(rng.integers(40, 200))
+        cv2.line(page, (4, y), (4 + length, y), 255, int(rng.integers(2, 7)))
+    rows, columns = np.nonzero(page)
+    ink = page[max(0, rows.min() - 4) : rows.max() + 5, : columns.max() + 5]
+    return np.asarray(ink / np.float32(255), np.float32)
 
 
 def field_stop(rng: np.random.Generator, shape: tuple[int, int]) -> Bools:

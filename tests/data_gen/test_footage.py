@@ -7,6 +7,7 @@ import pytest
 
 from data_gen.scenes.appearance import paint, random_look
 from data_gen.scenes.channels import Channel, draw_walls, forming_plug, random_walls
+from data_gen.scenes.confined import within_walls
 from data_gen.scenes.dataset import image_source
 from data_gen.scenes.distances import (
     box_of,
@@ -152,6 +153,26 @@ def test_channels_of_one_layer_open_into_one_another_those_of_two_cross() -> Non
     assert joined[beside, 600] == 0
     assert joined[beside, 100] == pytest.approx(layered[beside, 100])
     assert abs(layered[beside, 600]) > 10
+
+
+def test_a_droplet_flattens_on_a_wall_and_its_rim_can_hide_there() -> None:
+    """A disc of 30 px whose middle is 20 px below a wall: the segment above it is gone.
+
+    That has R² arccos(d/R) - d sqrt(R² - d²); corners are rounded by a few px.
+    """
+    disc = ellipse(np.random.default_rng(0), CENTRE, 30.0, 1.0)
+    wall = np.repeat(CENTRE[1] - 20 - np.arange(HEIGHT, dtype=np.float32)[:, None] - 0.5, WIDTH, 1)
+    held = within_walls(disc, wall, 0.0)
+    assert held is not None
+    box = box_of(held.patch, held.distance)
+    assert box is not None
+    np.testing.assert_allclose(box, [*(CENTRE - [30, 20]), *(CENTRE + 30)], atol=2)
+    segment = 30**2 * np.arccos(20 / 30) - 20 * np.sqrt(30**2 - 20**2)
+    assert held.area == pytest.approx(np.pi * 30**2 - segment, rel=0.04)
+    assert isinstance(held.rim, np.ndarray)
+    assert held.rim[4 + 10, 34] == pytest.approx(0, abs=0.1)  # at the wall
+    assert held.rim[4 + 58, 34] == 1  # at the other end
+    assert within_walls(disc, wall + 40, 0.0) is None  # nine tenths of it are in the wall
 
 
 def test_a_thread_has_a_head_as_high_as_a_plug_and_no_label() -> None:

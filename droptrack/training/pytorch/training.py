@@ -14,7 +14,7 @@ from torch.nn.parallel import DistributedDataParallel
 from torch.utils.data import DataLoader
 
 from droptrack.errors import DroptrackError
-from droptrack.interrupts import signals_held
+from droptrack.interrupts import signals_held, whole
 from droptrack.network.darknet_weights import read_start
 from droptrack.network.torch_network import DarknetNetwork, dump_values, load_values
 from droptrack.training.log import Step, TrainingLog, diverged, running_average
@@ -77,8 +77,9 @@ def _lead(job: Job) -> Generator[Step, None, None]:
                     mean_ap=mean_ap,
                 )
                 began = now
-                log.append(step)
-                done = step.iteration
+                with whole():  # so that the log and what is saved agree
+                    log.append(step)
+                    done = step.iteration
                 if done % settings.save_every == 0:
                     learner.save_last(done)
                 yield step

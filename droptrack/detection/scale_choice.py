@@ -11,7 +11,7 @@ only some tiles are, so that the choice takes about as long for all videos.
 """
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -47,6 +47,8 @@ MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0
 MIN_SHOWN = 3  # scales that full evidence takes
 MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
 TOLERANCE = 0.06  # between the qualities of scales that are as good
+FINER = 0.15  # the same, where droplets are of many sizes: their 90th percentile is more than
+SPREAD = 2.0  # times their 10th
 
 
 @dataclass(frozen=True)
@@ -93,20 +95,41 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
 
     `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. Of
     neighbouring scales as good as the best, within TOLERANCE, it is the finest, which draws tighter
-    boxes and finds smaller droplets. Where detections of all
-    scales are in doubt, it is the one that suits clear droplets, if half of the frames have any.
+    boxes and finds smaller droplets; or the one that suits most of the clear droplets, if these are
+    of many sizes, and it is finer and about as good. Where detections of all scales are in doubt,
+    it is that one, if half of the frames have any.
     """
     seen = [_seen(frame, detector, default) for frame in frames]
     clear = [one.diameters[one.evidence >= CLEAR] for one in seen]
     if not any(map(len, clear)):
         return ScaleChoice(default)
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
-    small = SMALL * _typical(diameters)
+    quality = _qualities(seen, SMALL * _typical(diameters))
+    small, middle, large = np.quantile(np.concatenate(clear), [0.1, 0.5, 0.9]).tolist()
+    wanted = DIAMETER_PX / middle
+    suiting = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
+    if max(quality.values()) < MIN_QUALITY:
+        if 2 * sum(len(one) > 0 for one in clear) < len(seen):
+            return ScaleChoice(default)
+        return ScaleChoice(suiting, quality, diameters)
+    whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
+    scale = _finest_of_the_best(quality, whole)
+    as_good = quality[suiting] >= max(quality.values()) - FINER
+    if large > SPREAD * small and suiting > scale and as_good:
+        scale = suiting  # the largest droplets count most for the quality
+    return ScaleChoice(scale, quality, diameters)
+
+
+def _qualities(seen: Sequence["_Seen"], tiny: float) -> dict[float, float]:
+    """How much of the evidence of frames the detections of each scale have, up to 1.
+
+    `tiny`: px, below which a droplet takes more evidence.
+    """
     gained: dict[float, float] = {}
     possible: dict[float, float] = {}
     there: dict[float, float] = {}  # whole, or cut by the tiles' edges
     for one in seen:
-        worth = one.evidence - np.where(one.diameters < small, SMALL_DOUBT, DOUBT)
+        worth = one.evidence - np.where(one.diameters < tiny, SMALL_DOUBT, DOUBT)
         worth *= one.diameters
         for k, (scale, look) in enumerate(one.looks.items()):
             counted = look.covers(one.boxes, one.size, MARGIN_PX / scale)
@@ -116,18 +139,10 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
             possible[scale] = possible.get(scale, 0.0) + float(worth[real].sum())
             cut = look.reaches(one.boxes) & (worth > 0)
             there[scale] = there.get(scale, 0.0) + float(worth[real | cut].sum())
-    quality = {
+    return {
         scale: gained[scale] / ((1 - MIN_CUT) * possible[scale] + MIN_CUT * there[scale] or 1.0)
         for scale in gained
     }
-    if max(quality.values()) < MIN_QUALITY:
-        if 2 * sum(len(one) > 0 for one in clear) < len(seen):
-            return ScaleChoice(default)
-        wanted = DIAMETER_PX / float(np.median(np.concatenate(clear)))
-        nearest = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
-        return ScaleChoice(nearest, quality, diameters)
-    whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
-    return ScaleChoice(_finest_of_the_best(quality, whole), quality, diameters)
 
 
 def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -> float:

@@ -48,7 +48,7 @@ MIN_SHOWN = 3  # scales that full evidence takes
 MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
 TOLERANCE = 0.06  # between the qualities of scales that are as good
 FINER = 0.15  # the same, where droplets are of many sizes: their 90th percentile is more than
-SPREAD = 2.0  # times their 10th
+SPREAD = 2.5  # times their 10th
 
 
 @dataclass(frozen=True)
@@ -148,8 +148,8 @@ def _qualities(seen: Sequence["_Seen"], tiny: float) -> dict[float, float]:
 def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -> float:
     """The finest of the best scale and its neighbours that are as good: for small droplets, too.
 
-    Half of the way to it where it is not `whole`, but looked at in some tiles only: such inputs are
-    large, and take long.
+    Where it is not `whole`, but looked at in some tiles only, half of the way to it, or the best if
+    that is coarser: such inputs are large, and take long.
 
     >>> quality = {0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99, 2.0: 0.98, 2.8: 0.98}
     >>> _finest_of_the_best(quality, quality), _finest_of_the_best(quality, [0.5])
@@ -157,14 +157,14 @@ def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -
     """
     scales = list(quality)
     good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]
-    best = scales.index(max(quality, key=quality.__getitem__))
+    best = max(range(len(scales)), key=lambda k: (quality[scales[k]], k))
     first = best
     while first > 0 and good[first - 1]:
         first -= 1
     last = best
     while last < len(scales) - 1 and good[last + 1]:
         last += 1
-    return scales[last if scales[last] in whole else first + (last - first) // 2]
+    return scales[last if scales[last] in whole else min(best, first + (last - first) // 2)]
 
 
 @dataclass(frozen=True, kw_only=True)

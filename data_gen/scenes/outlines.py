@@ -81,9 +81,8 @@ def suspension(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     typical = log_uniform(rng, 4, 25)
     spread = rng.uniform(0.3, 0.9)
     depth = rng.uniform(0, 0.5)
-    n = int(
-        log_uniform(rng, 0.05, 1.2) * WIDTH * HEIGHT / (np.pi * typical**2 * np.exp(2 * spread**2))
-    )
+    covered = log_uniform(rng, 0.05, 1.2) * WIDTH * HEIGHT
+    n = int(covered / (np.pi * typical**2 * np.exp(2 * spread**2)))
     for _ in range(min(n, MAX_SUSPENDED) + 1):
         radius = float(np.clip(typical * np.exp(rng.normal(0, spread)), 3, 250))
         defocus = radius * abs(rng.normal(0, depth))

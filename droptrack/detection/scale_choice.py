@@ -154,6 +154,8 @@ def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -
     >>> quality = {0.5: 0.98, 0.7: 0.6, 1.0: 0.98, 1.4: 0.99, 2.0: 0.98, 2.8: 0.98}
     >>> _finest_of_the_best(quality, quality), _finest_of_the_best(quality, [0.5])
     (2.8, 1.4)
+    >>> _finest_of_the_best({1.0: 1.0, 1.4: 0.98, 2.0: 0.98}, [])
+    1.0
     """
     scales = list(quality)
     good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]

@@ -11,6 +11,7 @@ from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.data.stage_times import StageTimes
+from droptrack.detection import scale_choice
 from droptrack.detection.scale_choice import STEP, TILE, choose_scale, scales_for
 
 KNOWN = (14, 120)  # sizes that the detector below knows, px of its input
@@ -112,6 +113,28 @@ def test_of_scales_that_are_as_good_the_middle_is_taken(default: float) -> None:
     choice = choose_scale([frame], Blobs(), default=default)  # type: ignore[arg-type]
     middle = np.sqrt(KNOWN[0] * KNOWN[1]) / 50
     assert middle / STEP <= choice.scale <= middle * STEP
+
+
+@pytest.mark.parametrize(
+    ("large", "quality", "wanted"), [(23, 0.9, 2.26), (23, 0.8, 1.6), (8, 0.9, 1.6)]
+)
+def test_droplets_of_many_sizes_get_a_scale_for_most_of_them(
+    monkeypatch: pytest.MonkeyPatch, large: int, quality: float, wanted: float
+) -> None:
+    """40 discs of 16 px and 8 of 46 px: 40 / 16 is nearest to 2.26, if that is not much worse.
+
+    Where all have 16 px, the best is taken.
+    """
+    image = np.zeros((400, 600), np.uint8)
+    places = [(x, y) for y in range(40, 400, 66) for x in range(40, 600, 74)]
+    for k, place in enumerate(places):
+        cv2.circle(image, place, large if k % 6 == 0 else 8, 230, -1)
+    of_scales = dict.fromkeys(scales_for(600, 400, 0.8), 0.0)
+    of_scales |= {scale: 1.0 for scale in of_scales if 1.5 < scale < 1.7}
+    of_scales |= {scale: quality for scale in of_scales if 2.2 < scale < 2.3}
+    monkeypatch.setattr(scale_choice, "_qualities", lambda seen, tiny: of_scales)
+    choice = choose_scale([grey_frame(image)], Blobs(), default=0.8)  # type: ignore[arg-type]
+    assert choice.scale == pytest.approx(wanted, abs=0.01)
 
 
 def test_scales_are_those_that_make_an_input_neither_tiny_nor_huge() -> None:

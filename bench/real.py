@@ -23,11 +23,13 @@ from droptrack.data.darknet_dataset import read_ground_truth
 from droptrack.data.detections import Detections, iou_matrix
 from droptrack.data.frames import grey_frame
 from droptrack.data.samples import N_SAMPLES, spread
-from droptrack.detection.detector import Detector
+from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Network, Precision, choose_detector
+from droptrack.detection.pyramid import Pyramid
 from droptrack.detection.scale import Canvas
-from droptrack.detection.scale_choice import MIN_SCORE as TILE_SCORE
-from droptrack.detection.scale_choice import TILE, choose_scale
+from droptrack.detection.scale_choice import choose_scale
+from droptrack.detection.scale_evidence import MIN_SCORE as TILE_SCORE
+from droptrack.detection.scale_evidence import TILE
 from droptrack.network.bundled import FOOTAGE, find_network
 from droptrack.network.darknet_cfg import resized
 
@@ -207,44 +209,56 @@ class ScaledFinder:
 
     def __call__(self, image: Pixels) -> Detections:
         """Droplets of a grey image (H, W)."""
-        canvas = Canvas.of(image.shape[1], image.shape[0], self.scale)
-        if canvas.network not in self._detectors:
+        return self.detector(image.shape[1], image.shape[0]).detect([grey_frame(image)])[0]
+
+    def detector(self, width: int, height: int) -> Detector:
+        """What finds droplets of images of a size, px."""
+        if (width, height) not in self._detectors:
+            canvas = Canvas.of(width, height, self.scale)
             network = Network(
                 resized(self._cfg, *canvas.network),
                 self._weights,
                 threshold=MIN_SCORE,
                 max_iou=MAX_IOU,
+                canvas=canvas,
             )
-            self._detectors[canvas.network] = choose_detector(network, precision=Precision.fp32)
-        frame = canvas.extended(grey_frame(image))
-        (found,) = self._detectors[canvas.network].detect([frame])
-        return canvas.within(found)
+            self._detectors[width, height] = choose_detector(network, precision=Precision.fp32)
+        return self._detectors[width, height]
 
 
 class AutoFinder:
-    """droptrack's network at the scale that some of the images of each size suggest."""
+    """droptrack's network at the scale, or scales, that some images of each size suggest."""
 
     def __init__(self, images: Sequence[Pixels], weights: Path | None = None) -> None:
         cfg, path = find_network(weights)
         tile = resized(cfg, TILE, TILE)
         detector = choose_detector(Network(tile, path, threshold=TILE_SCORE, max_iou=MAX_IOU))
-        self._finders: dict[tuple[int, int], ScaledFinder] = {}
+        self._finders: dict[tuple[int, int], Finder] = {}
+        self.scales: list[float] = []  # those chosen, each once
         for height, width in dict.fromkeys(image.shape for image in images):
             alike = [image for image in images if image.shape == (height, width)]
             samples = [grey_frame(alike[number]) for number in spread(len(alike), N_SAMPLES)]
             own = Canvas.like(width, height, (cfg.width, cfg.height))
             choice = choose_scale(samples, detector, own.scale)
-            self._finders[height, width] = ScaledFinder(choice.scale, weights)
-
-    @property
-    def scales(self) -> list[float]:
-        """The scales chosen, each once."""
-        return sorted({finder.scale for finder in self._finders.values()})
+            if choice.levels:
+                scales = [scale for _, scale in choice.levels]
+                self._finders[height, width] = Pyramid(
+                    [
+                        (sizes, ScaledFinder(scale, weights).detector(width, height))
+                        for sizes, scale in choice.levels
+                    ]
+                )
+            else:
+                scales = [choice.scale]
+                self._finders[height, width] = ScaledFinder(choice.scale, weights).detector(
+                    width, height
+                )
+            self.scales = sorted({*self.scales, *scales})
 
     def __call__(self, image: Pixels) -> Detections:
         """Droplets of a grey image (H, W) of one of the sizes."""
         height, width = image.shape
-        return self._finders[height, width](image)
+        return self._finders[height, width].detect([grey_frame(image)])[0]
 
 
 def rows_of(folder: Path, name: str, weights: Path | None) -> Iterator[tuple[str, Scores]]:

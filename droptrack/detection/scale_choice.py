@@ -1,54 +1,46 @@
-"""The scale that suits a video, chosen from some of its frames.
+"""The scale that suits a video, chosen from some of its frames; or two, or one for each image.
 
-A network finds droplets of some 10 to 150 px of its input, and says nothing, or something else at
-each scale, of others. So a droplet is what the network sees again at other scales: its evidence is
-the mean of its scores at all scales that show it in a size the network knows. The best scale is the
-one whose detections have the most evidence; each counts by its diameter, and what is much smaller
-than most has to be seen more surely, since cells and dirt are no droplets.
-
-Frames are looked at in tiles, so that one compiled network serves all scales, and of a large input
-only some tiles are, so that the choice takes about as long for all videos.
+The best scale is the one whose detections have the most evidence (`scale_evidence`); each counts by
+its diameter, and what is much smaller than most has to be seen more surely, since cells and dirt
+are no droplets. Where droplets are of so many sizes that no scale shows all, there are two, one for
+the smaller and one for the larger ones.
 """
 
 import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 
-from droptrack.data.arrays import Bools, Floats, Rows
-from droptrack.data.detections import Detections, iou_matrix
-from droptrack.data.frames import Frame, grey_frame, grey_plane
-from droptrack.data.stage_times import StageTimes
+from droptrack.data.arrays import Floats
+from droptrack.data.frames import Frame
 from droptrack.detection.detector import Detector
+from droptrack.detection.pyramid import Sizes
 from droptrack.detection.scale import DIAMETER_PX
-from droptrack.detection.suppression import suppress_duplicates
+from droptrack.detection.scale_evidence import (
+    KNOWN_PX,
+    MARGIN_PX,
+    MAX_AREA_PX,
+    SURE,
+    Seen,
+    look_for_droplets,
+)
 
-TILE = 480  # px, the sides of the input
-STEP = math.sqrt(2)  # from one scale to the next
-STEPS = range(-7, 6)  # tried, from the default scale on
-MIN_SIDE_PX = 96  # of an input
-MAX_AREA_PX = 9e6  # of an input
-MARGIN_PX = 2.0  # of the input, between a whole droplet and a tile's edge
-MAX_TILES = 6  # looked at in a frame, at each scale
-KNOWN_PX = (12.0, 120.0)  # sizes of droplets in the input
-MIN_SEEN_PX = 6.0  # of the frame: what is smaller may be dust, or a block of JPEG
-MIN_SCORE = 0.1  # of a detection that counts at all
-SURE = 0.4  # of one that a user would get
-SAME_IOU = 0.5  # of two boxes of one droplet
 DOUBT = 0.35  # evidence below which a detection does harm
 SMALL = 0.4  # of most droplets' diameter, below which that evidence is
 SMALL_DOUBT = 0.65
-CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
 CLEAR = 0.6  # evidence that one droplet at least has to have: dust and digits have less
-MIN_INSIDE = 0.8  # share of a box's area
 MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0.85 and more
-MIN_SHOWN = 3  # scales that full evidence takes
 MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
 TOLERANCE = 0.06  # between the qualities of scales that are as good
 FINER = 0.15  # the same, where droplets are of many sizes: their 90th percentile is more than
 SPREAD = 2.5  # times their 10th
+MANY = 20  # clear droplets, from which on there are two scales, if their
+WIDE = 4.5  # times as large as the 5th percentile are 5 % of them, or these:
+FEW = 5
+MIDDLE_PX = 80.0  # of the input: half of the clear droplets are smaller at the finer scale
+LARGE_PX = 110.0  # which is for droplets up to this; so large are the large ones at the coarser
+DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 
 @dataclass(frozen=True)
@@ -56,38 +48,16 @@ class ScaleChoice:
     """A scale, and how much of the evidence its detections have: `quality` at each scale tried.
 
     None where no droplet is clear, and the scale is the default one. `diameters` (N,) px of the
-    frames: sqrt(w h) of the droplets seen at several scales.
+    frames: sqrt(w h) of the droplets seen at several scales. `levels`: where one scale is too few,
+    the sizes that each is for, the smallest first; `scale` is what one alone would be. `differ`:
+    whether the frames' droplets are of different sizes, as in images of different lenses.
     """
 
     scale: float
     quality: dict[float, float] = field(default_factory=dict)
     diameters: Floats = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Look:
-    """What one scale shows of a frame: boxes (N, 4) px of the frame, their scores (N,), and the
-    tiles (T, 4) [left, top, right, bottom] px that were looked at; whether these are all.
-    """  # noqa: D205
-
-    boxes: Floats
-    scores: Floats
-    tiles: Floats
-    is_whole: bool
-
-    def covers(self, boxes: Floats, size: tuple[int, int], margin: float) -> Bools:
-        """Which boxes (N,) lie whole in a tile, or end with it at the frame's edge."""
-        low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
-        first = np.where(self.tiles[:, :2] > 0, self.tiles[:, :2] + margin, -np.inf)
-        last = np.where(self.tiles[:, 2:] < size, self.tiles[:, 2:] - margin, np.inf)
-        inside = (low[:, None] >= first) & (high[:, None] <= last)
-        return np.asarray(np.any(np.all(inside, axis=2), axis=1), bool)
-
-    def reaches(self, boxes: Floats) -> Bools:
-        """Which boxes (N,) have their centres in a tile, whole or not."""
-        centres = boxes[:, None, :2]
-        inside = (centres >= self.tiles[:, :2]) & (centres <= self.tiles[:, 2:])
-        return np.asarray(np.any(np.all(inside, axis=2), axis=1), bool)
+    levels: tuple[tuple[Sizes, float], ...] = ()
+    differ: bool = False
 
 
 def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) -> ScaleChoice:
@@ -99,28 +69,75 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     of many sizes, and it is finer and about as good. Where detections of all scales are in doubt,
     it is that one, if half of the frames have any.
     """
-    seen = [_seen(frame, detector, default) for frame in frames]
+    seen = [look_for_droplets(frame, detector, default) for frame in frames]
     clear = [one.diameters[one.evidence >= CLEAR] for one in seen]
     if not any(map(len, clear)):
         return ScaleChoice(default)
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
     quality = _qualities(seen, SMALL * _typical(diameters))
+    scale = _one_scale(quality, seen, clear)
+    if scale is None:
+        return ScaleChoice(default)
+    return ScaleChoice(
+        scale, quality, diameters, _two_levels(np.concatenate(clear), seen[0].size), _differ(clear)
+    )
+
+
+def _one_scale(
+    quality: dict[float, float], seen: Sequence[Seen], clear: Sequence[Floats]
+) -> float | None:
+    """The best of the scales, as `choose_scale` says; None where frames are in doubt.
+
+    `clear`: the diameters of each frame's clear droplets.
+    """
     small, middle, large = np.quantile(np.concatenate(clear), [0.1, 0.5, 0.9]).tolist()
     wanted = DIAMETER_PX / middle
     suiting = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
     if max(quality.values()) < MIN_QUALITY:
-        if 2 * sum(len(one) > 0 for one in clear) < len(seen):
-            return ScaleChoice(default)
-        return ScaleChoice(suiting, quality, diameters)
+        return suiting if 2 * sum(len(one) > 0 for one in clear) >= len(seen) else None
     whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
     scale = _finest_of_the_best(quality, whole)
     as_good = quality[suiting] >= max(quality.values()) - FINER
     if large > SPREAD * small and suiting > scale and as_good:
-        scale = suiting  # the largest droplets count most for the quality
-    return ScaleChoice(scale, quality, diameters)
+        return suiting  # the largest droplets count most for the quality
+    return scale
 
 
-def _qualities(seen: Sequence["_Seen"], tiny: float) -> dict[float, float]:
+def _two_levels(clear: Floats, size: tuple[int, int]) -> tuple[tuple[Sizes, float], ...]:
+    """Two scales for clear droplets of diameters (N,) px, if one is too few for these.
+
+    `size`: width and height of the frames, px.
+
+    >>> _two_levels(np.repeat([20.0, 80.0, 200.0], 20), (1200, 600))
+    ((Sizes(smallest=0.0, largest=110.0), 1.0), (Sizes(smallest=110.0, largest=inf), 0.55))
+    >>> _two_levels(np.repeat([40.0, 80.0, 120.0], 20), (1200, 600))
+    ()
+    """
+    if len(clear) < MANY:
+        return ()
+    small, middle, large = np.quantile(clear, [0.05, 0.5, 0.95]).tolist()
+    large = max(large, float(np.sort(clear)[-FEW]))  # of a thousand, few large ones count as well
+    fine = min(MIDDLE_PX / middle, math.sqrt(MAX_AREA_PX / math.prod(size)))
+    if large < WIDE * small or large * fine <= KNOWN_PX[1]:
+        return ()
+    limit = LARGE_PX / fine
+    return (Sizes(0.0, limit), fine), (Sizes(limit, math.inf), LARGE_PX / large)
+
+
+def _differ(clear: Sequence[Floats]) -> bool:
+    """Whether typical diameters of frames' clear droplets (N,) px differ so that no scale suits.
+
+    >>> _differ([np.array([20.0, 22]), np.array([60.0]), np.zeros(0)])
+    True
+    >>> _differ([np.array([20.0, 60, 22]), np.array([25.0])])
+    False
+    """
+    typical = [float(np.median(one)) for one in clear if len(one)]
+    low, high = np.quantile(typical, [0.1, 0.9])
+    return bool(high > DIFFER * low)
+
+
+def _qualities(seen: Sequence[Seen], tiny: float) -> dict[float, float]:
     """How much of the evidence of frames the detections of each scale have, up to 1.
 
     `tiny`: px, below which a droplet takes more evidence.
@@ -169,33 +186,6 @@ def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -
     return scales[last if scales[last] in whole else min(best, first + (last - first) // 2)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Seen:
-    """What may be droplets of a frame of `size` (width, height) px, by all `looks` together.
-
-    Boxes (N, 4) px, their scores (scales, N) at each scale, and their evidence (N,).
-    """
-
-    size: tuple[int, int]
-    looks: dict[float, _Look]
-    boxes: Floats
-    scores: Floats
-    evidence: Floats
-
-    @property
-    def diameters(self) -> Floats:
-        """sqrt(w h), (N,) px."""
-        return np.asarray(np.sqrt(self.boxes[:, 2:].prod(axis=1)))
-
-
-def _seen(frame: Frame, detector: Detector, default: float) -> _Seen:
-    size = (frame.shape[1], frame.shape[0])
-    looks = _look(frame, detector, default)
-    boxes, scores = _merged(looks, size)
-    evidence = _evidence(boxes, scores, looks, size)
-    return _Seen(size=size, looks=looks, boxes=boxes, scores=scores, evidence=evidence)
-
-
 def _typical(diameters: Floats) -> float:
     """The diameter up to which half of the area of all is; 0 of none.
 
@@ -205,156 +195,3 @@ def _typical(diameters: Floats) -> float:
     ordered = np.sort(diameters)
     areas = np.cumsum(ordered**2)
     return float(ordered[np.searchsorted(areas, areas[-1] / 2)]) if len(ordered) else 0.0
-
-
-def scales_for(width: int, height: int, default: float) -> list[float]:
-    """The scales that are tried for frames of a size, the default one among them.
-
-    >>> [round(scale, 2) for scale in scales_for(1200, 600, 0.8)]
-    [0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2]
-    """
-    scales = (default * STEP**k for k in STEPS)
-    return [
-        scale
-        for scale in scales
-        if scale * min(width, height) >= MIN_SIDE_PX and scale**2 * width * height <= MAX_AREA_PX
-    ]
-
-
-def _look(frame: Frame, detector: Detector, default: float) -> dict[float, _Look]:
-    """What each scale shows of a frame, from the coarsest on."""
-    height, width = frame.shape[:2]
-    plane = grey_plane(frame)
-    image = np.asarray(frame if plane is None else plane)
-    looks: dict[float, _Look] = {}
-    found = np.zeros((0, 2))  # centres of what coarser scales showed
-    for scale in scales_for(width, height, default):
-        size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        resized = np.asarray(cv2.resize(image, size), np.uint8)
-        tiles = _tiles(size, found * scale)
-        running = [detector.start([_cut(resized, tile)], StageTimes()) for tile in tiles]
-        parts = [_whole(wait()[0], tile, size) for wait, tile in zip(running, tiles, strict=True)]
-        together = Detections(
-            np.concatenate([part.boxes for part in parts]),
-            np.concatenate([part.scores for part in parts]),
-            np.zeros(sum(len(part) for part in parts), np.int64),  # whatever its class
-        )
-        seen = suppress_duplicates(together, detector.max_iou, greedy=True)  # tiles overlap
-        looks[scale] = _Look(
-            boxes=seen.boxes / scale,
-            scores=seen.scores,
-            tiles=np.minimum(tiles / scale, [width, height, width, height]),
-            is_whole=len(tiles) == math.prod(_n_tiles(size)),
-        )
-        found = np.concatenate([found, looks[scale].boxes[looks[scale].scores >= SURE, :2]])
-    return looks
-
-
-def _tiles(size: tuple[int, int], places: Floats) -> Floats:
-    """At most MAX_TILES tiles (T, 4) px of an input of a size: where most of the places are.
-
-    Where there are none, those in the middle.
-    """
-    columns, rows = _n_tiles(size)
-    starts = [
-        np.linspace(0, max(0, side - TILE), n)
-        for side, n in zip(size, (columns, rows), strict=True)
-    ]
-    corners = np.round(np.array([[x, y] for y in starts[1] for x in starts[0]]))
-    if len(corners) > MAX_TILES:
-        within = (places[:, None] >= corners) & (places[:, None] < corners + TILE)
-        away = np.hypot(*(corners + TILE / 2 - np.array(size) / 2).T)
-        order = np.lexsort([away, -within.all(axis=2).sum(axis=0)])
-        corners = corners[order[:MAX_TILES]]
-    return np.hstack([corners, corners + TILE])
-
-
-def _n_tiles(size: tuple[int, int]) -> tuple[int, int]:
-    """Columns and rows of the tiles that an input of a size has."""
-    return max(1, math.ceil(size[0] / TILE)), max(1, math.ceil(size[1] / TILE))
-
-
-def _cut(image: Frame, tile: Floats) -> Frame:
-    """A tile of an image (H, W) or (H, W, 3), extended by its edge where it is smaller."""
-    left, top, right, bottom = tile.astype(int).tolist()
-    part = image[top:bottom, left:right]
-    below, beside = TILE - part.shape[0], TILE - part.shape[1]
-    whole = np.asarray(
-        cv2.copyMakeBorder(part, 0, below, 0, beside, cv2.BORDER_REPLICATE), np.uint8
-    )
-    return grey_frame(whole) if whole.ndim == 2 else whole
-
-
-def _whole(found: Detections, tile: Floats, size: tuple[int, int]) -> Detections:
-    """What a tile of an input of a size shows whole: no edge of the tile cuts it; px of the input.
-
-    The input's own edges may.
-    """
-    boxes = np.column_stack([found.boxes[:, :2] + tile[:2], found.boxes[:, 2:]])
-    low, high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
-    inside = (low >= np.where(tile[:2] > 0, tile[:2] + MARGIN_PX, -np.inf)) & (
-        high <= np.where(tile[2:] < size, tile[2:] - MARGIN_PX, np.inf)
-    )
-    keep = np.asarray(inside.all(axis=1), bool)
-    return Detections(boxes[keep], found.scores[keep], found.class_ids[keep])
-
-
-def _merged(looks: dict[float, _Look], size: tuple[int, int]) -> tuple[Floats, Floats]:
-    """What may be droplets, seen at one or more scales: boxes (N, 4), scores (scales, N) or 0."""
-    boxes, scores = np.zeros((0, 4)), np.zeros((len(looks), 0))
-    for k, (scale, look) in enumerate(looks.items()):
-        whole = look.covers(look.boxes, size, MARGIN_PX / scale)
-        mine, certain = look.boxes[whole], look.scores[whole]
-        old, new = _pairs(boxes, mine)
-        scores[k, old] = certain[new]
-        better = certain[new] >= scores[:, old].max(axis=0, initial=0)
-        boxes[old[better]] = mine[new[better]]
-        alone = np.setdiff1d(np.arange(len(mine)), new)
-        added = np.zeros((len(looks), len(alone)))
-        added[k] = certain[alone]
-        boxes = np.concatenate([boxes, mine[alone]])
-        scores = np.hstack([scores, added])
-    return boxes, scores
-
-
-def _pairs(these: Floats, those: Floats) -> tuple[Rows, Rows]:
-    """Which boxes are each other's best, and of one droplet."""
-    if not len(these) or not len(those):
-        return np.zeros(0, int), np.zeros(0, int)
-    iou = iou_matrix(these, those)
-    best = iou.argmax(axis=1)
-    mine = np.arange(len(these))
-    mutual = (iou.argmax(axis=0)[best] == mine) & (iou[mine, best] >= SAME_IOU)
-    return np.flatnonzero(mutual), best[mutual]
-
-
-def _evidence(
-    boxes: Floats, scores: Floats, looks: dict[float, _Look], size: tuple[int, int]
-) -> Floats:
-    """The mean score (N,) over the scales that show a droplet whole, in a size that is known."""
-    sides = np.sqrt(boxes[:, 2:].prod(axis=1))
-    shown = np.stack(
-        [
-            (sides * scale >= KNOWN_PX[0])
-            & (sides * scale <= KNOWN_PX[1])
-            & look.covers(boxes, size, MARGIN_PX / scale)
-            for scale, look in looks.items()
-        ]
-    )
-    shown &= sides >= MIN_SEEN_PX
-    mean = (scores * shown).sum(axis=0) / np.maximum(shown.sum(axis=0), MIN_SHOWN)
-    return np.asarray(np.where(_inside_others(boxes, mean), 0.0, mean))
-
-
-def _inside_others(boxes: Floats, evidence: Floats) -> Bools:
-    """Which boxes (N,) lie in one at least twice as large that is a droplet: cells, reflections."""
-    inside = np.zeros(len(boxes), bool)
-    corners = np.hstack([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2])
-    area = boxes[:, 2:].prod(axis=1)
-    for outer in np.flatnonzero(evidence > CERTAIN):
-        shared = np.minimum(corners[:, 2:], corners[outer, 2:]) - np.maximum(
-            corners[:, :2], corners[outer, :2]
-        )
-        within = np.maximum(shared, 0).prod(axis=1) > MIN_INSIDE * area
-        inside |= within & (4 * area < area[outer])
-    return inside

@@ -14,7 +14,7 @@ import PIL.Image
 from droptrack.data.files import replacing
 from droptrack.data.formats.contours import ContourFile, ContourWriter, check_contours
 from droptrack.data.frames import Frame
-from droptrack.data.normalisation import UNCHANGED, normalisation_for
+from droptrack.data.normalisation import UNCHANGED, Normalisation, normalisation_for
 from droptrack.data.report import Report, Value
 from droptrack.data.samples import N_SAMPLES, sample_frames, spread
 from droptrack.data.sources.image_files import TIFF_SUFFIXES
@@ -36,6 +36,7 @@ from droptrack.progress import progress_bar
 from droptrack.version import __version__
 
 CALIBRATED = (*TIFF_SUFFIXES, *MICROSCOPY_SUFFIXES)  # files that may say how wide a pixel is
+N_ENGINES = 12  # held at once, for images of many sizes and scales
 LIKE_SIZES = 1.1  # up to this ratio of widths, and of heights, images share a scale
 
 Size = tuple[int, int]  # width and height, px
@@ -59,7 +60,7 @@ def detect_images(
     began = time.perf_counter()
     check_contours(config.contours, shape=config.shape)
     detectors: dict[Size, OpenedDetector] = {}
-    engines = Engines()
+    engines = Engines(n_held=N_ENGINES)
     images = _read_images(config, say)
     first = next(images)  # what cannot be opened is refused before anything is written
     cfg, _ = find_network(config.weights, config.cfg)
@@ -83,12 +84,19 @@ def detect_images(
                 detectors[size] = open_detector(
                     like, size, samples, live=False, say=say, engines=engines, each=True
                 )
+                if detectors[size].differ:
+                    say(
+                        "droplets of the images differ in size: each image is seen at a scale of "
+                        "its own; one for all: --scale or --diameter"
+                    )
             opened = detectors[size]
+            if opened.differ:
+                opened = _of_one_image(config, image, opened, engines)
             normalisation = UNCHANGED
             if opened.stretching is not None:
                 normalisation = normalisation_for([image.frame], stretching=opened.stretching)
             (found,) = opened.detector.detect([normalisation.shown(image.frame)])
-            results.add(image, found, str(normalisation), opened.region)
+            results.add(image, found, _seen(opened, normalisation), opened.region)
     settings = _settings(config, detectors) | (classes.settings() if classes else {})
     report = results.report(settings, seconds=time.perf_counter() - began)
     report.write_json(config.out / "report.json")
@@ -194,6 +202,29 @@ def _as_for_like_images(
     return config
 
 
+def _of_one_image(
+    config: ImagesConfig, image: Image, of_all: OpenedDetector, engines: Engines
+) -> OpenedDetector:
+    """A detector at the scale that suits one image, with the model that was chosen for all."""
+    height, width = image.frame.shape[:2]
+    model = of_all.settings.get("model", config.weights)
+    own = replace(config, weights=None if model is None else Path(str(model)))
+    return open_detector(
+        own,
+        (width, height),
+        lambda: [image.frame],
+        live=False,
+        say=lambda _: None,
+        engines=engines,
+        each=True,
+    )
+
+
+def _seen(opened: OpenedDetector, normalisation: Normalisation) -> dict[str, Value]:
+    """What the network was shown of an image, and at which scale, for the report."""
+    return {"network_sees": str(normalisation), "scale": opened.settings["scale"]}
+
+
 def _about_equal(size: Size, other: Size) -> bool:
     pairs = zip(size, other, strict=True)
     return all(max(sides) <= LIKE_SIZES * min(sides) for sides in pairs)
@@ -251,6 +282,7 @@ def _settings(config: ImagesConfig, detectors: Mapping[Size, OpenedDetector]) ->
         "backend": opened.detector.engine.name,
         "network_size": [opened.cfg.width, opened.cfg.height],
         **opened.settings,
+        **({"scale": "of each image"} if opened.differ else {}),
         "score": config.score,
         "max_iou": config.max_iou,
         **({"sizes": DEFINITION} if config.shape else {}),

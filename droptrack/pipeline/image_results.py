@@ -2,7 +2,7 @@
 
 import csv
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -98,10 +98,12 @@ class ImageResults:
         if annotated is not None:
             annotated.mkdir(exist_ok=True)
 
-    def add(self, image: Image, found: Detections, seen: str, region: Region | None) -> None:
+    def add(
+        self, image: Image, found: Detections, seen: Mapping[str, Value], region: Region | None
+    ) -> None:
         """Take the droplets of the next image.
 
-        `seen`: what the network was shown of it; `region`: where droplets count.
+        `seen`: what the network was shown of it, for the report; `region`: where droplets count.
         """
         content = self._content
         if region is None and (stop := find_field_stop([image.frame])):
@@ -126,7 +128,7 @@ class ImageResults:
             "frame": image.number,
             "n_droplets": len(found),
             "n_at_edge": int(cut.sum()),
-            "network_sees": seen,
+            **seen,
         }
         if content.um:
             diameters_um = diameters * (image.um_per_px or np.nan)

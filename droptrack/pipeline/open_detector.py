@@ -16,7 +16,7 @@ from droptrack.data.normalisation import (
 )
 from droptrack.data.region import Region
 from droptrack.data.report import Value
-from droptrack.detection import decoding, scale_choice
+from droptrack.detection import decoding, scale_evidence
 from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Engines, Network, choose_detector
 from droptrack.detection.model_choice import (
@@ -27,6 +27,7 @@ from droptrack.detection.model_choice import (
 )
 from droptrack.detection.pyramid import Pyramid, Sizes, levels_for
 from droptrack.detection.scale import AUTO, DIAMETER_PX, MAX_SIDE_PX, Canvas
+from droptrack.detection.scale_choice import choose_scale
 from droptrack.errors import DroptrackError
 from droptrack.measurement import droplets
 from droptrack.network.bundled import FOOTAGE, MODELS, SIMULATIONS, find_network
@@ -42,7 +43,7 @@ class OpenedDetector:
     Of several scales, the network and the scale are those for the smallest droplets. `settings`:
     the scale and how it was chosen, and how frames are changed, for the report. `region`: where
     droplets count; None: everywhere. `stretching`: of faint frames, as suits the network; None: of
-    none.
+    none. `differ`: whether the frames' droplets differ in size so that no scale suits all frames.
     """
 
     detector: Finder
@@ -52,6 +53,7 @@ class OpenedDetector:
     settings: dict[str, Value] = field(default_factory=dict)
     region: Region | None = None
     stretching: Stretching | None = None
+    differ: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,12 +61,14 @@ class _Plan:
     """A network, its weights, and what its inputs show of frames, each for droplets of some sizes.
 
     No canvases: as the frames suggest. `settings`: what was chosen from frames, for the report.
+    `differ`: as `OpenedDetector` has it.
     """
 
     cfg: Cfg
     weights: Path
-    canvases: list[tuple[Sizes | None, Canvas]]
+    canvases: Sequence[tuple[Sizes | None, Canvas]]
     settings: dict[str, Value] = field(default_factory=dict)
+    differ: bool = False
 
 
 def open_detector(
@@ -127,6 +131,7 @@ def open_detector(
         },
         region=region,
         stretching=_stretching(plan.weights) if config.normalises else None,
+        differ=plan.differ,
     )
 
 
@@ -225,8 +230,7 @@ def _chosen(
     if plan.canvases:
         return plan
     _, shown = samples.as_seen(config, plan.weights)
-    canvas, how = _chosen_canvas(config, plan.cfg, plan.weights, shown, say, engines)
-    return replace(plan, canvases=[(None, canvas)], settings=plan.settings | how)
+    return _with_chosen_canvases(plan, config, shown, say, engines)
 
 
 def _chosen_model(
@@ -242,7 +246,7 @@ def _chosen_model(
         network = Network(
             resized(cfg, *canvas.network),
             weights,
-            threshold=scale_choice.SURE,
+            threshold=scale_evidence.SURE,
             max_iou=config.max_iou,
             canvas=canvas,
         )
@@ -264,36 +268,40 @@ def _canvas_at(scale: float, width: int, height: int) -> Canvas:
     return canvas
 
 
-def _chosen_canvas(
-    config: DetectorConfig,
-    cfg: Cfg,
-    weights: Path,
-    samples: Sequence[Frame],
-    say: Say,
-    engines: Engines,
-) -> tuple[Canvas, dict[str, Value]]:
-    """The canvas whose scale suits some frames best, and how it was chosen."""
+def _with_chosen_canvases(
+    plan: _Plan, config: DetectorConfig, samples: Sequence[Frame], say: Say, engines: Engines
+) -> _Plan:
+    """A plan with the canvases whose scales suit some frames best, and how they were chosen."""
     height, width = samples[0].shape[:2]
-    own = Canvas.like(width, height, (cfg.width, cfg.height))
-    tile = resized(cfg, scale_choice.TILE, scale_choice.TILE)
-    threshold = scale_choice.MIN_SCORE
-    network = Network(tile, weights, threshold=threshold, max_iou=config.max_iou)
+    own = Canvas.like(width, height, (plan.cfg.width, plan.cfg.height))
+    tile = resized(plan.cfg, scale_evidence.TILE, scale_evidence.TILE)
+    threshold = scale_evidence.MIN_SCORE
+    network = Network(tile, plan.weights, threshold=threshold, max_iou=config.max_iou)
     detector = choose_detector(network, config.backend, engines=engines)
-    choice = scale_choice.choose_scale(samples, detector, own.scale)
+    choice = choose_scale(samples, detector, own.scale)
     settings: dict[str, Value] = {
         "scale_chosen_from": len(samples),
         "scale_quality": [f"{s:.3g}: {quality:.2f}" for s, quality in choice.quality.items()],
     }
+    plan = replace(plan, settings=plan.settings | settings, differ=choice.differ)
     if not choice.quality:
         say(
             f"no droplet is clear in {len(samples)} of the frames: the network sees them at a "
             f"scale of {own.scale:.2f}; another one: --scale or --diameter"
         )
-    if math.isclose(choice.scale, own.scale):
-        return own, settings
-    canvas = Canvas.of(width, height, choice.scale)
-    say(
-        f"the network sees the frames at a scale of {choice.scale:.2f}, where it finds most of the "
-        f"droplets of {len(samples)} of them; another one: --scale or --diameter"
-    )
-    return canvas, settings
+    if choice.levels:
+        scales = " and ".join(f"{scale:.2f}" for _, scale in choice.levels)
+        say(
+            f"droplets of {len(samples)} of the frames are of many sizes: the network sees these "
+            f"at scales of {scales}; one alone: --scale {choice.scale:.2f}"
+        )
+        levels = [(sizes, Canvas.of(width, height, scale)) for sizes, scale in choice.levels]
+        return replace(plan, canvases=levels)
+    canvas = own
+    if not math.isclose(choice.scale, own.scale):
+        canvas = Canvas.of(width, height, choice.scale)
+        say(
+            f"the network sees the frames at a scale of {choice.scale:.2f}, where it finds most of "
+            f"the droplets of {len(samples)} of them; another one: --scale or --diameter"
+        )
+    return replace(plan, canvases=[(None, canvas)])

@@ -12,7 +12,8 @@ from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame, grey_frame
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection import scale_choice
-from droptrack.detection.scale_choice import STEP, TILE, choose_scale, scales_for
+from droptrack.detection.scale_choice import choose_scale
+from droptrack.detection.scale_evidence import STEP, TILE, scales_for
 
 KNOWN = (14, 120)  # sizes that the detector below knows, px of its input
 
@@ -135,6 +136,30 @@ def test_droplets_of_many_sizes_get_a_scale_for_most_of_them(
     monkeypatch.setattr(scale_choice, "_qualities", lambda seen, tiny: of_scales)
     choice = choose_scale([grey_frame(image)], Blobs(), default=0.8)  # type: ignore[arg-type]
     assert choice.scale == pytest.approx(wanted, abs=0.01)
+
+
+def test_droplets_of_very_many_sizes_get_two_scales() -> None:
+    """Discs of 16, 30 and 200 px: no scale makes all KNOWN, two do, each for its sizes."""
+    frame, radii = np.zeros((900, 1200), np.uint8), [8] * 12 + [15] * 18
+    for k, radius in enumerate(radii):
+        cv2.circle(frame, (60 + 36 * k, 60 + 50 * (k % 3)), radius, 230, -1)
+    for k in range(10):
+        cv2.circle(frame, (130 + 230 * (k % 5), 400 + 250 * (k // 5)), 100, 230, -1)
+    choice = choose_scale([grey_frame(frame)], Blobs(), default=0.8)  # type: ignore[arg-type]
+    (small, fine), (large, coarse) = choice.levels
+    assert small.largest == large.smallest
+    assert 30 < small.largest < 200
+    assert all(KNOWN[0] <= diameter * fine <= KNOWN[1] for diameter in (16, 30))
+    assert KNOWN[0] <= 200 * coarse <= KNOWN[1]
+
+
+@pytest.mark.parametrize(("other", "differ"), [(20, False), (60, True)])
+def test_images_whose_droplets_differ_in_size_are_told(other: int, differ: bool) -> None:
+    """Discs of 40 px in one image, of 40 or 120 in the other; droplets of one size need no two."""
+    frames = [discs(radius, (900, 700))[0] for radius in (20, other)]
+    choice = choose_scale(frames, Blobs(), default=0.8)  # type: ignore[arg-type]
+    assert choice.differ == differ
+    assert not choice.levels
 
 
 def test_scales_are_those_that_make_an_input_neither_tiny_nor_huge() -> None:

@@ -105,6 +105,50 @@ def test_rims_are_found_at_a_scale_of_its_own_choice(tmp_path: Path) -> None:
     assert 8 <= 140 * settings["scale"] <= 240
 
 
+def ring_image(path: Path, radius: int, n: tuple[int, int]) -> None:
+    """Dark rings on grey, 1000 x 800 px, n columns and rows of them."""
+    canvas = np.full((800, 1000), 150, np.uint8)
+    for x in np.linspace(1.6 * radius, 1000 - 1.6 * radius, n[0]):
+        for y in np.linspace(1.6 * radius, 800 - 1.6 * radius, n[1]):
+            cv2.circle(canvas, (round(x), round(y)), radius, 60, max(1, radius // 9), cv2.LINE_AA)
+    noisy = canvas + np.random.default_rng(0).normal(0, 3, canvas.shape)
+    cv2.imwrite(str(path), np.clip(noisy, 0, 255).astype(np.uint8))
+
+
+def test_images_of_several_lenses_get_a_scale_each(tmp_path: Path) -> None:
+    """Rings of 14 px in one image, of 300 px in the other: no scale shows both."""
+    ring_image(tmp_path / "far.png", 7, (12, 10))
+    ring_image(tmp_path / "near.png", 150, (2, 2))
+    out = tmp_path / "out"
+    code, said = detect(str(tmp_path), "--out", str(out), "--weights", "footage", "--no-shape")
+    assert code == 0, said
+    assert "a scale of its own" in " ".join(said.split())
+    report = json.loads((out / "report.json").read_text())
+    assert report["settings"]["scale"] == "of each image"
+    far, near = report["droplets"]
+    assert far["scale"] > 2 * near["scale"]
+    assert (far["n_droplets"], near["n_droplets"]) == (120, 4)
+
+
+def test_droplets_of_very_many_sizes_are_found_at_two_scales(tmp_path: Path) -> None:
+    """72 rings of 30 px and 6 of 250: the report has both scales, the console says why."""
+    path = tmp_path / "many.png"
+    ring_image(path, 15, (12, 6))
+    image = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    below = np.full((680, 1000), 150, np.uint8)
+    for x in (180, 500, 820):
+        for y in (170, 500):
+            cv2.circle(below, (x, y), 120, 60, 12, cv2.LINE_AA)
+    cv2.imwrite(str(path), np.vstack([image, below]))
+    out = tmp_path / "out"
+    code, said = detect(str(path), "--out", str(out), "--weights", "footage", "--no-shape")
+    assert code == 0, said
+    assert "many sizes" in " ".join(said.split())
+    assert len(json.loads((out / "report.json").read_text())["settings"]["scale"]) == 2
+    sides = np.array([float(row["w"]) for row in rows_of(out)])
+    assert ((sides < 40).sum(), (sides > 230).sum(), len(sides)) == (72, 6, 78)
+
+
 def test_a_folder_and_a_video_are_many_images(sine: Path, tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -18,7 +18,6 @@ from droptrack.detection.detector import Detector
 from droptrack.detection.pyramid import Sizes
 from droptrack.detection.scale import DIAMETER_PX
 from droptrack.detection.scale_evidence import (
-    KNOWN_PX,
     MARGIN_PX,
     MAX_AREA_PX,
     SURE,
@@ -35,11 +34,12 @@ MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show w
 TOLERANCE = 0.06  # between the qualities of scales that are as good
 FINER = 0.15  # the same, where droplets are of many sizes: their 90th percentile is more than
 SPREAD = 2.5  # times their 10th
-MANY = 20  # clear droplets, from which on there are two scales, if their
-WIDE = 4.5  # times as large as the 5th percentile are 5 % of them, or these:
+MANY = 20  # clear droplets, from which on there may be two scales
+WIDE = 4.5  # of the largest 5 % of them, or FEW, to the smallest 5 %, where there are
 FEW = 5
-MIDDLE_PX = 80.0  # of the input: half of the clear droplets are smaller at the finer scale
-LARGE_PX = 110.0  # which is for droplets up to this; so large are the large ones at the coarser
+MIDDLE_PX = 80.0  # of the input, that half of the clear droplets have at most at the finer scale
+ALONE_PX = 180.0  # of that input; if the large ones have no more, it is the only one
+LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coarser scale
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 
@@ -118,7 +118,7 @@ def _two_levels(clear: Floats, size: tuple[int, int]) -> tuple[tuple[Sizes, floa
     small, middle, large = np.quantile(clear, [0.05, 0.5, 0.95]).tolist()
     large = max(large, float(np.sort(clear)[-FEW]))  # of a thousand, few large ones count as well
     fine = min(MIDDLE_PX / middle, math.sqrt(MAX_AREA_PX / math.prod(size)))
-    if large < WIDE * small or large * fine <= KNOWN_PX[1]:
+    if large < WIDE * small or large * fine <= ALONE_PX:
         return ()
     limit = LARGE_PX / fine
     return (Sizes(0.0, limit), fine), (Sizes(limit, math.inf), LARGE_PX / large)

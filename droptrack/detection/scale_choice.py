@@ -38,7 +38,7 @@ MANY = 20  # clear droplets, from which on there may be two scales
 WIDE = 4.5  # of the largest 5 % of them, or FEW, to the smallest 5 %, where there are
 FEW = 5
 MIDDLE_PX = 80.0  # of the input, that half of the clear droplets have at most at the finer scale
-ALONE_PX = 180.0  # of that input; if the large ones have no more, it is the only one
+ALONE_PX = 180.0  # of that input; where the large ones have no more, one scale is enough
 LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coarser scale
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 

@@ -40,10 +40,11 @@ from droptrack.pipeline.notes import Say
 class OpenedDetector:
     """A detector, the network and weights it has, and px of its input for a px of the frames.
 
-    Of several scales, the network and the scale are those for the smallest droplets. `settings`:
-    the scale and how it was chosen, and how frames are changed, for the report. `region`: where
-    droplets count; None: everywhere. `stretching`: of faint frames, as suits the network; None: of
-    none. `differ`: whether the frames' droplets differ in size so that no scale suits all frames.
+    Of several scales, the network is that for the smallest droplets, and so is the scale, unless
+    one was chosen that is best alone. `settings`: the scale and how it was chosen, and how frames
+    are changed, for the report. `region`: where droplets count; None: everywhere. `stretching`: of
+    faint frames, as suits the network; None: of none. `differ`: whether the frames' droplets differ
+    in size so that no scale suits all frames.
     """
 
     detector: Finder
@@ -55,19 +56,26 @@ class OpenedDetector:
     stretching: Stretching | None = None
     differ: bool = False
 
+    @property
+    def has_levels(self) -> bool:
+        """Whether there are several scales."""
+        return isinstance(self.detector, Pyramid)
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Plan:
     """A network, its weights, and what its inputs show of frames, each for droplets of some sizes.
 
     No canvases: as the frames suggest. `settings`: what was chosen from frames, for the report.
-    `differ`: as `OpenedDetector` has it.
+    `alone`: the scale that would be best alone, of several that were chosen. `differ`: as
+    `OpenedDetector` has it.
     """
 
     cfg: Cfg
     weights: Path
     canvases: Sequence[tuple[Sizes | None, Canvas]]
     settings: dict[str, Value] = field(default_factory=dict)
+    alone: float | None = None
     differ: bool = False
 
 
@@ -123,7 +131,7 @@ def open_detector(
         detector=_together(levels),
         cfg=resized(plan.cfg, *first.network),
         weights=plan.weights,
-        scale=first.scale,
+        scale=first.scale if plan.alone is None else plan.alone,
         settings={
             "scale": first.scale if len(scales) == 1 else [f"{scale:.3g}" for scale in scales],
             **plan.settings,
@@ -296,7 +304,7 @@ def _with_chosen_canvases(
             f"at scales of {scales}; one alone: --scale {choice.scale:.2f}"
         )
         levels = [(sizes, Canvas.of(width, height, scale)) for sizes, scale in choice.levels]
-        return replace(plan, canvases=levels)
+        return replace(plan, canvases=levels, alone=choice.scale)
     canvas = own
     if not math.isclose(choice.scale, own.scale):
         canvas = Canvas.of(width, height, choice.scale)

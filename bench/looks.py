@@ -86,7 +86,7 @@ def _draw(name: str, seed: int) -> _Drawn:
         paint(canvas, one, look, rng)
         covers[one.patch.rows, one.patch.columns] += one.distance < 0.5
         if rng.random() < look.inclusions:
-            paint_inside(canvas, one, rng)
+            paint_inside(canvas, one, look.cell_px, rng)
     add_dirt(rng, canvas)
     if rng.random() < 0.3:
         vignette(rng, canvas)

@@ -4,13 +4,16 @@ A `Look` is drawn once for an image, since droplets of one video look alike. It 
 droplet's grey levels follow from the signed distance to its outline (`distances`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data_gen.scenes.outlines import Outline
-from data_gen.scenes.surroundings import texture
+from data_gen.scenes.surroundings import log_uniform, texture
 from droptrack.data.arrays import Float32s
+
+PARTS = ("fill", "rim", "second", "core", "texture")  # of a look, in grey levels
+CELLS = 0.12  # share of images whose droplets have cells inside
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +25,8 @@ class Look:
     at `second_at` rim widths from the outline. `core`: level of a spot in the middle, as a lens
     makes it, `core_size` of the radius wide. `shading`: how much stronger the rim is on the side
     of `light`, an angle in radians. `soft`: width, px, of the edge. `texture`: level of the random
-    variation inside. `inclusions`: probability that a droplet has small things inside it.
+    variation inside. `inclusions`: probability that a droplet has small things inside it;
+    `cell_px`: their radius where they are cells, of one size in all droplets, else 0.
     """
 
     fill: float
@@ -38,6 +42,18 @@ class Look:
     soft: float
     texture: float
     inclusions: float
+    cell_px: float = 0.0
+
+    @property
+    def contrast(self) -> float:
+        """The most grey levels by which a droplet differs from the background."""
+        return max(abs(self.fill), abs(self.rim))
+
+    def faint(self, levels: float) -> "Look":
+        """The same droplets with so many grey levels of contrast, and nothing inside."""
+        share = levels / self.contrast
+        parts = {name: share * getattr(self, name) for name in PARTS}
+        return replace(self, **parts, inclusions=0.0)
 
     def rim_width(self, radius: float) -> float:
         """Width, px, of the rim of a droplet."""
@@ -62,6 +78,7 @@ def random_look(rng: np.random.Generator, background: float) -> Look:
     rim = 0.0 if kind == "filled" else level(25, 190, rim_sign)
     second = rng.random() < 0.5
     core = rng.random() < 0.33
+    cells = rng.random() < CELLS
     return Look(
         fill=float(fill),
         rim=rim,
@@ -77,7 +94,8 @@ def random_look(rng: np.random.Generator, background: float) -> Look:
         light=float(rng.uniform(0, 2 * np.pi)),
         soft=float(rng.uniform(0.8, 2)),
         texture=float(rng.uniform(0, 14)) if rng.random() < 0.5 else 0.0,
-        inclusions=float(rng.choice([0.0, 0.15, 0.7], p=[0.6, 0.25, 0.15])),
+        inclusions=0.9 if cells else float(rng.choice([0.0, 0.15, 0.7], p=[0.6, 0.25, 0.15])),
+        cell_px=log_uniform(rng, 1.5, 14) if cells else 0.0,
     )
 
 

@@ -252,11 +252,21 @@ def draw_walls(
     """
     for channels in layers:
         distance = np.minimum.reduce([channel.distance() for channel in channels])
-        for line in walls:
-            middle, half = np.float32(line.away + line.width / 2), np.float32(line.width / 2)
-            shown = np.clip(half + np.float32(0.5) - np.abs(distance - middle), 0, 1)
-            canvas += shown * np.float32(line.level)
+        canvas += wall_lines(distance, walls)
         canvas += np.clip(np.float32(0.5) - distance, 0, 1) * np.float32(inside)
+
+
+def wall_lines(distance: Float32s, walls: Sequence[WallLine]) -> Float32s:
+    """Grey levels (H, W) of the walls of channels, relative to what is below.
+
+    `distance` (H, W): px from the channels' edges, negative in them.
+    """
+    levels = np.zeros_like(distance)
+    for line in walls:
+        middle, half = np.float32(line.away + line.width / 2), np.float32(line.width / 2)
+        shown = np.clip(half + np.float32(0.5) - np.abs(distance - middle), 0, 1)
+        levels += shown * np.float32(line.level)
+    return levels
 
 
 def draw_structures(rng: np.random.Generator, canvas: Float32s) -> None:

@@ -25,7 +25,15 @@ from data_gen.scenes.distances import box_of
 from data_gen.scenes.inclusions import paint_inside
 from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered, suspension
 from data_gen.scenes.scene_kinds import Scene
-from data_gen.scenes.surroundings import add_dirt, add_text, background, field_stop, vignette
+from data_gen.scenes.surroundings import (
+    add_dirt,
+    add_text,
+    background,
+    field_stop,
+    log_uniform,
+    vignette,
+)
+from data_gen.scenes.windings import draw_winding
 from droptrack.data.arrays import Bools, Float32s, Floats, Pixels
 from droptrack.data.degradation import add_noise, blur, to_pixels
 from droptrack.data.frames import grey_frame
@@ -33,6 +41,7 @@ from droptrack.data.normalisation import GENTLE, normalisation_for
 
 MIN_VISIBLE = 0.3
 MIN_SIDE = 6.0  # px, of a box: smaller droplets cannot be told from dust
+FAINT = 0.1  # share of images whose droplets are much fainter than their surroundings
 
 
 Arrangement = Callable[[np.random.Generator, Float32s], Iterator[Outline]]
@@ -42,12 +51,17 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     """An image (H, W) of a scene by its name, and the boxes of the droplets in it."""
     canvas, level = background(rng, SHAPE)
     look = random_look(rng, level)
+    is_faint = name != "empty" and rng.random() < FAINT
+    if is_faint:
+        look = look.faint(log_uniform(rng, 8, 40))
     stop = field_stop(rng, SHAPE) if rng.random() < (0.25 if name == "plugs" else 0.1) else None
+    if rng.random() < (0.25 if name == "empty" else 0.08):
+        draw_winding(rng, canvas)
     boxes = []
     for outline in ARRANGEMENTS[name](rng, canvas):
         paint(canvas, outline, look, rng)
         if rng.random() < look.inclusions:
-            paint_inside(canvas, outline, rng)
+            paint_inside(canvas, outline, look.cell_px, rng)
         box = visible_box(outline, stop)
         if box is not None:
             boxes.append(box)
@@ -57,9 +71,13 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     if stop is not None:
         dark = np.float32(rng.uniform(0, 40))
         canvas[~stop] = dark
-    if rng.random() < (0.4 if name == "empty" else 0.2):
+    if rng.random() < (0.4 if name == "empty" else 0.25):
         add_text(rng, canvas)
-    image = _as_shown(_photograph(rng, canvas, faint=0.4 if name == "empty" else 0.12))
+    if is_faint:
+        image = _photograph_faint(rng, canvas, look.contrast)
+    else:
+        image = _photograph(rng, canvas, faint=0.4 if name == "empty" else 0.12)
+    image = _as_shown(image)
     return Scene(image, np.array(boxes).reshape(-1, 4))
 
 
@@ -116,6 +134,15 @@ def _photograph(rng: np.random.Generator, canvas: Float32s, *, faint: float) -> 
         decoded = cv2.imdecode(cv2.imencode(".jpg", pixels, quality)[1], cv2.IMREAD_GRAYSCALE)
         return np.asarray(decoded, np.uint8)
     return pixels
+
+
+def _photograph_faint(rng: np.random.Generator, canvas: Float32s, contrast: float) -> Pixels:
+    """Optics and sensor of droplets that differ by few grey levels, and yet can be seen."""
+    levels = np.asarray(canvas, np.float64)
+    if rng.random() < 0.7:
+        levels = blur(levels, rng.uniform(0.4, 1.2))
+    sigma = contrast * rng.uniform(0.02, 0.25)
+    return to_pixels(add_noise(levels, rng.standard_normal(levels.shape), sigma))
 
 
 ARRANGEMENTS: dict[str, Arrangement] = {

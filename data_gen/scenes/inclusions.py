@@ -6,11 +6,21 @@ from data_gen.scenes.distances import ellipse_distance, patch_around
 from data_gen.scenes.outlines import Outline
 from droptrack.data.arrays import Float32s, Floats
 
+MAX_CELLS = 50  # in a droplet
+MAX_CELL = 0.16  # of a droplet's radius
 MAX_SPREAD_PX = 60.0  # radius of a droplet, from which on what is in it grows no more
 
 
-def paint_inside(canvas: Float32s, outline: Outline, rng: np.random.Generator) -> None:
-    """A few small things inside a droplet, and sometimes a large one, in place."""
+def paint_inside(
+    canvas: Float32s, outline: Outline, cell_px: float, rng: np.random.Generator
+) -> None:
+    """A few small things inside a droplet, and sometimes a large one, in place.
+
+    Or, where `cell_px` is above zero and they fit, up to MAX_CELLS cells of about that radius.
+    """
+    if 0 < cell_px < MAX_CELL * outline.radius:
+        _paint_cells(canvas, outline, cell_px, rng)
+        return
     radius = min(outline.radius, MAX_SPREAD_PX)
     sizes = radius * rng.uniform(0.04, 0.3, int(rng.integers(1, 6)))
     if rng.random() < 0.3:  # an inner drop, a large cell, a reflection
@@ -21,6 +31,16 @@ def paint_inside(canvas: Float32s, outline: Outline, rng: np.random.Generator) -
         place = _place(outline.distance, 1.1 * size, rng)
         if place is not None:
             _paint(canvas, corner + place, size, tone * rng.uniform(0.5, 1.5), rng)
+
+
+def _paint_cells(canvas: Float32s, outline: Outline, size: float, rng: np.random.Generator) -> None:
+    tone = float(rng.choice([-1, -1, 1])) * rng.uniform(30, 120)
+    corner = np.array([outline.patch.x[0], outline.patch.y[0]], float)
+    for _ in range(int(np.exp(rng.uniform(0, np.log(MAX_CELLS))))):
+        place = _place(outline.distance, 1.1 * size, rng)
+        if place is not None:
+            one = size * rng.uniform(0.85, 1.15)
+            _paint(canvas, corner + place, one, tone * rng.uniform(0.7, 1.2), rng)
 
 
 def paint_suspended(

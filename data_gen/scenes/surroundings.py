@@ -16,6 +16,8 @@ def background(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Float3
     x = np.linspace(-0.5, 0.5, width, dtype=np.float32)
     y = np.linspace(-0.5, 0.5, height, dtype=np.float32)
     slope = rng.normal(0, 20, 2) if rng.random() < 0.7 else np.zeros(2)
+    if rng.random() < 0.15:  # lit from one side
+        slope *= rng.uniform(1, 5)
     canvas = np.add.outer(y * np.float32(slope[1]), x * np.float32(slope[0])) + np.float32(level)
     if rng.random() < 0.5:
         canvas += texture(rng, shape, float(rng.uniform(20, 200))) * np.float32(rng.uniform(2, 14))
@@ -68,7 +70,9 @@ def add_dirt(rng: np.random.Generator, canvas: Float32s) -> None:
 def add_text(rng: np.random.Generator, canvas: Float32s) -> None:
     """What cameras write into their images: time stamps, scale bars, some in a box; in place."""
     height, width = canvas.shape
-    lines = [_caption(rng) for _ in range(1 if rng.random() < 0.8 else int(rng.integers(2, 5)))]
+    n_words = int(rng.integers(2, 9)) if rng.random() < 0.35 else 1
+    n_lines = 1 if rng.random() < 0.8 else int(rng.integers(2, 5))
+    lines = [" ".join(_caption(rng) for _ in range(n_words)) for _ in range(n_lines)]
     written = _written(rng, lines)[: height - 8, : width - 8]
     rows, columns = (n - m - 4 for n, m in zip(canvas.shape, written.shape, strict=True))
     top = int(rng.choice([4, rows, rng.integers(4, rows + 1)], p=[0.35, 0.35, 0.3]))
@@ -101,7 +105,10 @@ def _caption(rng: np.random.Generator) -> str:
 def _written(rng: np.random.Generator, lines: list[str]) -> Float32s:
     """Lines of text, and in two of five cases a scale bar below, as ink (H, W) from 0 to 1."""
     size = log_uniform(rng, 10, 60)  # px
-    page = np.zeros((int(1.5 * size * (len(lines) + 1)) + 8, int(9.5 * size) + 220), np.uint8)
+    longest = max(map(len, lines))
+    page = np.zeros(
+        (int(1.5 * size * (len(lines) + 1)) + 8, int(0.8 * longest * size) + 220), np.uint8
+    )
     if rng.random() < 0.5:
         font = int(rng.integers(0, 8)) + (cv2.FONT_ITALIC if rng.random() < 0.2 else 0)
         stroke = int(rng.integers(1, 2 + round(size / 15)))

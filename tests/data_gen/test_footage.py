@@ -17,8 +17,11 @@ from data_gen.scenes.distances import (
     stadium_distance,
 )
 from data_gen.scenes.footage import ARRANGEMENTS, footage_scene
+from data_gen.scenes.inclusions import paint_inside
 from data_gen.scenes.outlines import MAX_DEFOCUS, ellipse, suspension
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
+from data_gen.scenes.surroundings import add_text
+from data_gen.scenes.windings import distance_from, winding
 from droptrack.data.frames import grey_frame
 from droptrack.data.normalisation import GENTLE, normalisation_for
 
@@ -128,6 +131,54 @@ def test_faint_images_are_drawn_as_a_network_is_shown_them() -> None:
             image = footage_scene(name, np.random.default_rng([7, seed])).image
             frame = grey_frame(image)
             assert normalisation_for([frame], stretching=GENTLE).levels is None
+
+
+def test_faint_droplets_have_the_same_look_with_less_contrast() -> None:
+    """60 levels of filling and 120 of rim become 5 and 10."""
+    look = replace(random_look(np.random.default_rng(1), 128), fill=60.0, rim=-120.0, second=24.0)
+    faint = look.faint(10)
+    assert (faint.fill, faint.rim, faint.second) == pytest.approx((5, -10, 2))
+    assert faint.contrast == pytest.approx(10)
+    assert (faint.soft, faint.inclusions) == (look.soft, 0)
+
+
+def test_cells_lie_inside_the_droplet_that_they_fit_in() -> None:
+    """Of 4 px in one of 60 px: specks of a cell's size, well inside."""
+    areas = []
+    for seed in range(20):
+        rng = np.random.default_rng([3, seed])
+        outline = ellipse(rng, CENTRE, 60.0, 1.0)
+        canvas = np.zeros(SHAPE, np.float32)
+        paint_inside(canvas, outline, 4.0, rng)
+        painted = np.abs(canvas) > 3
+        distance = np.full(SHAPE, np.inf, np.float32)
+        distance[outline.patch.rows, outline.patch.columns] = outline.distance
+        assert distance[painted].max() < 6
+        areas.append(painted.sum())
+    assert max(areas) > 8 * min(areas)  # some have one, some have many
+    assert np.pi * 3**2 < min(areas) < 3 * np.pi * 8**2
+
+
+def test_a_winding_channel_has_its_width_everywhere() -> None:
+    """Two parts along x, 200 px long and 60 px apart, 24 px wide: distances by hand."""
+    course = winding(n=2, length=200, apart=60) + CENTRE
+    distance = distance_from(course, 24)
+    x, y = np.floor(CENTRE).astype(int)
+    assert distance[y - 30, x] == pytest.approx(-12, abs=1)
+    assert distance[y, x] == pytest.approx(30 - 12, abs=1)
+    assert distance[y, x + 100 + 30] == pytest.approx(-12, abs=1)  # the outermost of the bend
+    assert distance[y, x + 100 + 30 + 20] == pytest.approx(20 - 12, abs=1)
+
+
+def test_captions_may_run_across_the_image() -> None:
+    widths = []
+    for seed in range(60):
+        canvas = np.full(SHAPE, 128, np.float32)
+        add_text(np.random.default_rng([4, seed]), canvas)
+        columns = np.flatnonzero((canvas != 128).any(axis=0))
+        widths.append(np.ptp(columns))
+    assert min(widths) < WIDTH / 4
+    assert max(widths) > 0.8 * WIDTH
 
 
 def test_a_channel_is_a_strip_from_its_start_on() -> None:

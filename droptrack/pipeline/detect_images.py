@@ -3,7 +3,7 @@
 import functools
 import json
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -59,8 +59,7 @@ def detect_images(
     """
     began = time.perf_counter()
     check_contours(config.contours, shape=config.shape)
-    detectors: dict[Size, OpenedDetector] = {}
-    engines = Engines(n_held=N_ENGINES)
+    detectors = _Detectors(config, say)
     images = _read_images(config, say)
     first = next(images)  # what cannot be opened is refused before anything is written
     cfg, _ = find_network(config.weights, config.cfg)
@@ -77,27 +76,13 @@ def detect_images(
         annotated = config.out / "annotated" if config.annotated else None
         results = ImageResults(annotated, file, content, contours)
         for image in bar.track(chain([first], images), description="detecting"):
-            size = (image.frame.shape[1], image.frame.shape[0])
-            if size not in detectors:
-                samples = functools.partial(_samples, config, image)
-                like = _as_for_like_images(config, size, detectors)
-                detectors[size] = open_detector(
-                    like, size, samples, live=False, say=say, engines=engines, each=True
-                )
-                if detectors[size].differ:
-                    say(
-                        "droplets of the images differ in size: each image is seen at a scale of "
-                        "its own; one for all: --scale or --diameter"
-                    )
-            opened = detectors[size]
-            if opened.differ:
-                opened = _of_one_image(config, image, opened, engines)
+            opened = detectors.of(image)
             normalisation = UNCHANGED
             if opened.stretching is not None:
                 normalisation = normalisation_for([image.frame], stretching=opened.stretching)
             (found,) = opened.detector.detect([normalisation.shown(image.frame)])
             results.add(image, found, _seen(opened, normalisation), opened.region)
-    settings = _settings(config, detectors) | (classes.settings() if classes else {})
+    settings = _settings(config, detectors.first) | (classes.settings() if classes else {})
     report = results.report(settings, seconds=time.perf_counter() - began)
     report.write_json(config.out / "report.json")
     if content.um and results.n_without_um:
@@ -162,7 +147,13 @@ def _read_images(config: ImagesConfig, say: Say) -> Iterator[Image]:
         for note in video.notes:
             say(printable(note))
         for number, frame in video.numbered():
-            yield Image(source=file, number=number, frame=frame, um_per_px=um_per_px)
+            yield Image(
+                source=file,
+                number=number,
+                frame=frame,
+                um_per_px=um_per_px,
+                is_alone=video.info.n_frames == 1,
+            )
             n += 1
         for doubt in (video.doubt, left_out(video)):
             if doubt:
@@ -189,35 +180,59 @@ def _files(sources: tuple[str, ...]) -> Iterator[Path]:
         yield from files
 
 
-def _as_for_like_images(
-    config: ImagesConfig, size: Size, detectors: Mapping[Size, OpenedDetector]
-) -> ImagesConfig:
-    """The model and the scale chosen for images of about a size (width, height) px, if any were."""
-    chosen = [how.settings for other, how in detectors.items() if _about_equal(size, other)]
-    for settings in chosen:
-        if "model" in settings:
-            config = replace(config, weights=Path(str(settings["model"])))
-        if "scale_chosen_from" in settings:
-            config = replace(config, scale=float(str(settings["scale"])))
-    return config
+class _Detectors:
+    """What finds droplets in images of each size; in each image, where droplets differ in size."""
 
+    def __init__(self, config: ImagesConfig, say: Say) -> None:
+        self._config, self._say = config, say
+        self._of_sizes: dict[Size, OpenedDetector] = {}
+        self._engines = Engines(n_held=N_ENGINES)
 
-def _of_one_image(
-    config: ImagesConfig, image: Image, of_all: OpenedDetector, engines: Engines
-) -> OpenedDetector:
-    """A detector at the scale that suits one image, with the model that was chosen for all."""
-    height, width = image.frame.shape[:2]
-    model = of_all.settings.get("model", config.weights)
-    own = replace(config, weights=None if model is None else Path(str(model)))
-    return open_detector(
-        own,
-        (width, height),
-        lambda: [image.frame],
-        live=False,
-        say=lambda _: None,
-        engines=engines,
-        each=True,
-    )
+    @property
+    def first(self) -> OpenedDetector:
+        """That for images of the first size."""
+        return next(iter(self._of_sizes.values()))
+
+    def of(self, image: Image) -> OpenedDetector:
+        """That for an image."""
+        size = (image.frame.shape[1], image.frame.shape[0])
+        if size not in self._of_sizes:
+            samples = functools.partial(_samples, self._config, image)
+            opened = self._open(self._as_for_like_images(size), size, samples, self._say)
+            self._of_sizes[size] = opened
+            if opened.differ and image.is_alone:
+                self._say(
+                    "droplets of the images differ in size: each image is seen at a scale of its "
+                    "own; one for all: --scale or --diameter"
+                )
+        opened = self._of_sizes[size]
+        if opened.differ and image.is_alone:
+            model = opened.settings.get("model", self._config.weights)
+            own = replace(self._config, weights=None if model is None else Path(str(model)))
+            return self._open(own, size, lambda: [image.frame], lambda _: None)
+        return opened
+
+    def _open(
+        self, config: ImagesConfig, size: Size, samples: Callable[[], list[Frame]], say: Say
+    ) -> OpenedDetector:
+        return open_detector(
+            config, size, samples, live=False, say=say, engines=self._engines, each=True
+        )
+
+    def _as_for_like_images(self, size: Size) -> ImagesConfig:
+        """The model and the scale chosen for images of about a size (width, height) px, if any.
+
+        Of several scales, none: they are chosen anew, from the same images and this one.
+        """
+        config = self._config
+        for other, how in self._of_sizes.items():
+            if not _about_equal(size, other):
+                continue
+            if "model" in how.settings:
+                config = replace(config, weights=Path(str(how.settings["model"])))
+            if "scale_chosen_from" in how.settings and not (how.has_levels or how.differ):
+                config = replace(config, scale=how.scale)
+        return config
 
 
 def _seen(opened: OpenedDetector, normalisation: Normalisation) -> dict[str, Value]:
@@ -233,7 +248,7 @@ def _about_equal(size: Size, other: Size) -> bool:
 def _samples(config: ImagesConfig, like: Image) -> list[Frame]:
     """Some frames of an image's video; or some of all images of about its size, that one first."""
     video = Video(str(like.source), config.reading)
-    if like.source.suffix.lower() not in IMAGE_SUFFIXES or video.info.n_frames > 1:
+    if like.source.suffix.lower() not in IMAGE_SUFFIXES or not like.is_alone:
         return sample_frames(video, N_SAMPLES)
     size = like.frame.shape[1::-1]
     files = [file for file in _files(config.sources) if file.suffix.lower() in IMAGE_SUFFIXES]
@@ -271,9 +286,8 @@ def _contour_writer(
     ).open()
 
 
-def _settings(config: ImagesConfig, detectors: Mapping[Size, OpenedDetector]) -> dict[str, Value]:
+def _settings(config: ImagesConfig, opened: OpenedDetector) -> dict[str, Value]:
     """How the results were made; of images of several sizes, what holds for the first."""
-    opened = next(iter(detectors.values()))
     return {
         "made by": f"droptrack {__version__}, droptrack.detect",
         "sources": _sources(config),

@@ -37,13 +37,14 @@ PLACES = ("x", "y", "w", "h", "box_x", "box_y")
 class Image:
     """One image: the file it comes from, its number there (from 0), and its pixels (H, W, 3).
 
-    `um_per_px`: how wide a pixel is; None where nobody says it.
+    `um_per_px`: how wide a pixel is; None where nobody says it. `is_alone`: in its file.
     """
 
     source: Path
     number: int
     frame: Frame
     um_per_px: float | None
+    is_alone: bool
 
     @property
     def stem(self) -> str:

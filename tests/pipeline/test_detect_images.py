@@ -116,22 +116,30 @@ def ring_image(path: Path, radius: int, n: tuple[int, int]) -> None:
 
 
 def test_images_of_several_lenses_get_a_scale_each(tmp_path: Path) -> None:
-    """Rings of 14 px in one image, of 300 px in the other: no scale shows both."""
+    """Rings of 14 px in one image, of 300 px in the other: no scale shows both.
+
+    A third image, of about their size, has its own scale, too.
+    """
     ring_image(tmp_path / "far.png", 7, (12, 10))
     ring_image(tmp_path / "near.png", 150, (2, 2))
+    near = np.asarray(cv2.imread(str(tmp_path / "near.png"), cv2.IMREAD_GRAYSCALE))
+    cv2.imwrite(str(tmp_path / "smaller.png"), near[:-20])
     out = tmp_path / "out"
     code, said = detect(str(tmp_path), "--out", str(out), "--weights", "footage", "--no-shape")
     assert code == 0, said
     assert "a scale of its own" in " ".join(said.split())
     report = json.loads((out / "report.json").read_text())
     assert report["settings"]["scale"] == "of each image"
-    far, near = report["droplets"]
-    assert far["scale"] > 2 * near["scale"]
-    assert (far["n_droplets"], near["n_droplets"]) == (120, 4)
+    scales = [row["scale"] for row in report["droplets"]]
+    assert scales[0] > 2 * max(scales[1:])
+    assert [row["n_droplets"] for row in report["droplets"]] == [120, 4, 4]
 
 
 def test_droplets_of_very_many_sizes_are_found_at_two_scales(tmp_path: Path) -> None:
-    """72 rings of 30 px and 6 of 250: the report has both scales, the console says why."""
+    """72 rings of 30 px and 6 of 250: the report has both scales, the console says why.
+
+    And in an image a bit smaller, for which what was chosen holds, too.
+    """
     path = tmp_path / "many.png"
     ring_image(path, 15, (12, 6))
     image = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
@@ -140,13 +148,29 @@ def test_droplets_of_very_many_sizes_are_found_at_two_scales(tmp_path: Path) -> 
         for y in (170, 500):
             cv2.circle(below, (x, y), 120, 60, 12, cv2.LINE_AA)
     cv2.imwrite(str(path), np.vstack([image, below]))
+    cv2.imwrite(str(tmp_path / "smaller.png"), np.vstack([image, below[:-30]]))
     out = tmp_path / "out"
-    code, said = detect(str(path), "--out", str(out), "--weights", "footage", "--no-shape")
+    code, said = detect(str(tmp_path), "--out", str(out), "--weights", "footage", "--no-shape")
     assert code == 0, said
     assert "many sizes" in " ".join(said.split())
-    assert len(json.loads((out / "report.json").read_text())["settings"]["scale"]) == 2
+    report = json.loads((out / "report.json").read_text())
+    assert [len(row["scale"]) for row in report["droplets"]] == [2, 2]
     sides = np.array([float(row["w"]) for row in rows_of(out)])
-    assert ((sides < 40).sum(), (sides > 230).sum(), len(sides)) == (72, 6, 78)
+    assert ((sides < 40).sum(), (sides > 230).sum(), len(sides)) == (144, 12, 156)
+
+
+def test_frames_of_a_video_have_one_scale_though_their_droplets_differ(tmp_path: Path) -> None:
+    for name, radius, n in (("far", 7, (12, 10)), ("near", 150, (2, 2))):
+        ring_image(tmp_path / f"{name}.png", radius, n)
+    pages = [cv2.imread(str(tmp_path / f"{name}.png"), 0) for name in ("far", "near")]
+    tifffile.imwrite(tmp_path / "pages.tif", np.stack([np.asarray(page) for page in pages]))
+    out = tmp_path / "out"
+    code, said = detect(
+        str(tmp_path / "pages.tif"), "--out", str(out), "--weights", "footage", "--no-shape"
+    )
+    assert code == 0, said
+    scales = {row["scale"] for row in json.loads((out / "report.json").read_text())["droplets"]}
+    assert len(scales) == 1
 
 
 def test_a_folder_and_a_video_are_many_images(sine: Path, tmp_path: Path) -> None:

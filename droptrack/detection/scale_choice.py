@@ -34,12 +34,14 @@ MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show w
 TOLERANCE = 0.06  # between the qualities of scales that are as good
 FINER = 0.15  # the same, where droplets are of many sizes: their 90th percentile is more than
 SPREAD = 2.5  # times their 10th
-MANY = 20  # clear droplets, from which on there may be two scales
+ENOUGH = 0.96  # quality of the best scale, and share of the clear droplets, as one shows them all
+MANY = 20  # clear droplets, from which on there may be two scales otherwise
 WIDE = 4.5  # of the largest 5 % of them, or FEW, to the smallest 5 %, where there are
 FEW = 5
-MIDDLE_PX = 80.0  # of the input, that half of the clear droplets have at most at the finer scale
-ALONE_PX = 180.0  # of that input; where the large ones have no more, one scale is enough
+MIDDLE_PX = 64.0  # of the input, that half of the clear droplets have at most at the finer scale
+ALONE_PX = 150.0  # of that input; where the large ones have no more, one scale is enough
 LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coarser scale
+TOO_LARGE_PX = 240.0  # of an input: the network has learned to be silent about it
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 
@@ -78,9 +80,10 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     scale = _one_scale(quality, seen, clear)
     if scale is None:
         return ScaleChoice(default)
-    return ScaleChoice(
-        scale, quality, diameters, _two_levels(np.concatenate(clear), seen[0].size), _differ(clear)
-    )
+    levels: tuple[tuple[Sizes, float], ...] = ()
+    if max(quality.values()) < ENOUGH or _shown(seen, scale) < ENOUGH:
+        levels = _two_levels(np.concatenate(clear), seen[0].size)
+    return ScaleChoice(scale, quality, diameters, levels, _differ(clear))
 
 
 def _one_scale(
@@ -103,13 +106,29 @@ def _one_scale(
     return scale
 
 
+def _shown(seen: Sequence[Seen], scale: float) -> float:
+    """The share of the clear droplets that a user would get at a scale, of those in its tiles.
+
+    What is too large there counts wherever it is.
+    """
+    n_there = n_shown = 0
+    for one in seen:
+        nearest = min(one.looks, key=lambda tried: abs(math.log(tried / scale)))
+        there = one.looks[nearest].covers(one.boxes, one.size, MARGIN_PX / nearest)
+        there |= one.diameters * nearest > TOO_LARGE_PX
+        there &= one.evidence >= CLEAR
+        n_there += int(there.sum())
+        n_shown += int((one.scores[list(one.looks).index(nearest)][there] >= SURE).sum())
+    return n_shown / max(1, n_there)
+
+
 def _two_levels(clear: Floats, size: tuple[int, int]) -> tuple[tuple[Sizes, float], ...]:
     """Two scales for clear droplets of diameters (N,) px, if one is too few for these.
 
     `size`: width and height of the frames, px.
 
     >>> _two_levels(np.repeat([20.0, 80.0, 200.0], 20), (1200, 600))
-    ((Sizes(smallest=0.0, largest=110.0), 1.0), (Sizes(smallest=110.0, largest=inf), 0.55))
+    ((Sizes(smallest=0.0, largest=137.5), 0.8), (Sizes(smallest=137.5, largest=inf), 0.55))
     >>> _two_levels(np.repeat([40.0, 80.0, 120.0], 20), (1200, 600))
     ()
     """

@@ -12,14 +12,14 @@ from tests.adaptation.drawn import shot_of
 
 
 def test_droplets_that_tracking_sees_at_two_scales_are_learned_at_one() -> None:
-    """72 dark rings of 30 px and 6 of 250: `open_detector` would take two."""
-    image = np.full((1100, 1000), 150, np.uint8)
-    for x in range(30, 1000, 80):
-        for y in range(30, 400, 70):
-            cv2.circle(image, (x, y), 14, 60, 2, cv2.LINE_AA)
-    for x in (180, 500, 820):
-        for y in (590, 910):
-            cv2.circle(image, (x, y), 120, 60, 12, cv2.LINE_AA)
+    """66 dark rings of 14 px and 4 of 400: `open_detector` would take two."""
+    image = np.full((1200, 1000), 150, np.uint8)
+    for x in range(30, 1000, 44):
+        for y in (30, 90, 150):
+            cv2.circle(image, (x, y), 7, 60, 1, cv2.LINE_AA)
+    for x in (250, 720):
+        for y in (430, 880):
+            cv2.circle(image, (x, y), 195, 60, 12, cv2.LINE_AA)
     said: list[str] = []
     looks = open_looks(DetectorConfig(weights=Path(FOOTAGE)), [shot_of(image)], said.append)
     assert any("many sizes" in one for one in said)

@@ -136,19 +136,20 @@ def test_images_of_several_lenses_get_a_scale_each(tmp_path: Path) -> None:
 
 
 def test_droplets_of_very_many_sizes_are_found_at_two_scales(tmp_path: Path) -> None:
-    """72 rings of 30 px and 6 of 250: the report has both scales, the console says why.
+    """99 rings of 14 px and 6 of 400: the report has both scales, the console says why.
 
     And in an image a bit smaller, for which what was chosen holds, too.
     """
     path = tmp_path / "many.png"
-    ring_image(path, 15, (12, 6))
-    image = np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
-    below = np.full((680, 1000), 150, np.uint8)
-    for x in (180, 500, 820):
-        for y in (170, 500):
-            cv2.circle(below, (x, y), 120, 60, 12, cv2.LINE_AA)
-    cv2.imwrite(str(path), np.vstack([image, below]))
-    cv2.imwrite(str(tmp_path / "smaller.png"), np.vstack([image, below[:-30]]))
+    image = np.full((1300, 1400), 150, np.uint8)
+    for x in range(30, 1400, 42):
+        for y in (30, 90, 150):
+            cv2.circle(image, (x, y), 7, 60, 1, cv2.LINE_AA)
+    for x in (240, 700, 1160):
+        for y in (440, 900):
+            cv2.circle(image, (x, y), 195, 60, 12, cv2.LINE_AA)
+    cv2.imwrite(str(path), image)
+    cv2.imwrite(str(tmp_path / "smaller.png"), image[:-40])
     out = tmp_path / "out"
     code, said = detect(str(tmp_path), "--out", str(out), "--weights", "footage", "--no-shape")
     assert code == 0, said
@@ -156,7 +157,7 @@ def test_droplets_of_very_many_sizes_are_found_at_two_scales(tmp_path: Path) -> 
     report = json.loads((out / "report.json").read_text())
     assert [len(row["scale"]) for row in report["droplets"]] == [2, 2]
     sides = np.array([float(row["w"]) for row in rows_of(out)])
-    assert ((sides < 40).sum(), (sides > 230).sum(), len(sides)) == (144, 12, 156)
+    assert ((sides < 25).sum(), (sides > 380).sum(), len(sides)) == (198, 12, 210)
 
 
 def test_frames_of_a_video_have_one_scale_though_their_droplets_differ(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ DOUBT = 0.35  # evidence below which a detection does harm
 SMALL = 0.4  # of most droplets' diameter, below which that evidence is
 SMALL_DOUBT = 0.65
 CLEAR = 0.6  # evidence that one droplet at least has to have: dust and digits have less
+SURELY = 0.75  # the same, where fewer than half of the frames have one of that
 MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0.85 and more
 MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
 TOLERANCE = 0.06  # between the qualities of scales that are as good
@@ -73,7 +74,8 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     """
     seen = [look_for_droplets(frame, detector, default) for frame in frames]
     clear = [one.diameters[one.evidence >= CLEAR] for one in seen]
-    if not any(map(len, clear)):
+    surest = max((float(one.evidence.max(initial=0)) for one in seen), default=0.0)
+    if surest < (SURELY if _are_few(clear) else CLEAR):
         return ScaleChoice(default)
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
     quality = _qualities(seen, SMALL * _typical(diameters))
@@ -97,13 +99,18 @@ def _one_scale(
     wanted = DIAMETER_PX / middle
     suiting = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
     if max(quality.values()) < MIN_QUALITY:
-        return suiting if 2 * sum(len(one) > 0 for one in clear) >= len(seen) else None
+        return None if _are_few(clear) else suiting
     whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
     scale = _finest_of_the_best(quality, whole)
     as_good = quality[suiting] >= max(quality.values()) - FINER
     if large > SPREAD * small and suiting > scale and as_good:
         return suiting  # the largest droplets count most for the quality
     return scale
+
+
+def _are_few(clear: Sequence[Floats]) -> bool:
+    """Whether fewer than half of the frames have a clear droplet."""
+    return 2 * sum(len(one) > 0 for one in clear) < len(clear)
 
 
 def _shown(seen: Sequence[Seen], scale: float) -> float:

@@ -23,8 +23,8 @@ class Blobs:
 
     max_iou = 0.3
 
-    def __init__(self, n_specks: int = 0) -> None:
-        self._n_specks, self._rng = n_specks, np.random.default_rng(0)
+    def __init__(self, n_specks: int = 0, score: float = 0.9) -> None:
+        self._n_specks, self._score, self._rng = n_specks, score, np.random.default_rng(0)
 
     def start(self, frames: Sequence[Frame], times: StageTimes) -> Callable[[], list[Detections]]:
         return lambda: [self._find(frame) for frame in frames]
@@ -38,7 +38,7 @@ class Blobs:
         boxes = boxes[(side > KNOWN[0]) & (side < KNOWN[1])]
         specks = self._rng.uniform(20, TILE - 20, (self._n_specks, 2))
         boxes = np.vstack([boxes, np.hstack([specks, np.full_like(specks, 16)])])
-        return Detections(boxes, np.full(len(boxes), 0.9), np.zeros(len(boxes), int))
+        return Detections(boxes, np.full(len(boxes), self._score), np.zeros(len(boxes), int))
 
 
 def discs(radius: float, size: tuple[int, int]) -> tuple[Frame, Floats]:
@@ -84,6 +84,17 @@ def test_clear_droplets_among_many_specks_still_get_a_scale() -> None:
     for frames, wanted in (([frame, empty], 0.8), ([frame, empty, empty], 3.2)):
         choice = choose_scale(frames, Blobs(n_specks=60), default=3.2)  # type: ignore[arg-type]
         assert choice.scale == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(("n_empty", "score", "chosen"), [(1, 0.65, 1), (2, 0.65, 0), (2, 0.9, 1)])
+def test_what_few_frames_have_has_to_be_seen_more_surely(
+    n_empty: int, score: float, chosen: int
+) -> None:
+    """Digits and specks have an evidence of about 0.65; droplets that pass now and then, more."""
+    frame, _ = discs(150, (1900, 1200))
+    frames = [frame, *[grey_frame(np.zeros((1200, 1900), np.uint8))] * n_empty]
+    choice = choose_scale(frames, Blobs(score=score), default=0.8)  # type: ignore[arg-type]
+    assert (choice.scale != 0.8) == chosen
 
 
 def test_small_things_in_droplets_are_no_droplets() -> None:

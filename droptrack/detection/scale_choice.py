@@ -29,7 +29,8 @@ DOUBT = 0.35  # evidence below which a detection does harm
 SMALL = 0.4  # of most droplets' diameter, below which that evidence is
 SMALL_DOUBT = 0.65
 CLEAR = 0.6  # evidence that one droplet at least has to have: dust and digits have less
-SURELY = 0.75  # the same, where fewer than half of the frames have one of that
+MOST = 2 / 3  # of the frames that have one of that; otherwise one has to have
+SURELY = 0.85
 MIN_QUALITY = 0.7  # of a scale that is chosen by it: real videos' mostly have 0.85 and more
 MIN_CUT = 0.2  # weight of evidence that a scale's tiles show, but do not show whole
 TOLERANCE = 0.06  # between the qualities of scales that are as good
@@ -75,7 +76,7 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     seen = [look_for_droplets(frame, detector, default) for frame in frames]
     clear = [one.diameters[one.evidence >= CLEAR] for one in seen]
     surest = max((float(one.evidence.max(initial=0)) for one in seen), default=0.0)
-    if surest < (SURELY if _are_few(clear) else CLEAR):
+    if surest < (CLEAR if _share(clear) >= MOST else SURELY):
         return ScaleChoice(default)
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
     quality = _qualities(seen, SMALL * _typical(diameters))
@@ -85,7 +86,7 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     levels: tuple[tuple[Sizes, float], ...] = ()
     if max(quality.values()) < ENOUGH or _shown(seen, scale) < ENOUGH:
         levels = _two_levels(np.concatenate(clear), seen[0].size)
-    return ScaleChoice(scale, quality, diameters, levels, _differ(clear))
+    return ScaleChoice(scale, quality, diameters, levels, _differ(seen))
 
 
 def _one_scale(
@@ -99,7 +100,7 @@ def _one_scale(
     wanted = DIAMETER_PX / middle
     suiting = min(quality, key=lambda scale: abs(math.log(scale / wanted)))
     if max(quality.values()) < MIN_QUALITY:
-        return None if _are_few(clear) else suiting
+        return suiting if _share(clear) >= 0.5 else None
     whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
     scale = _finest_of_the_best(quality, whole)
     as_good = quality[suiting] >= max(quality.values()) - FINER
@@ -108,9 +109,9 @@ def _one_scale(
     return scale
 
 
-def _are_few(clear: Sequence[Floats]) -> bool:
-    """Whether fewer than half of the frames have a clear droplet."""
-    return 2 * sum(len(one) > 0 for one in clear) < len(clear)
+def _share(clear: Sequence[Floats]) -> float:
+    """The share of the frames that have a clear droplet."""
+    return sum(len(one) > 0 for one in clear) / max(1, len(clear))
 
 
 def _shown(seen: Sequence[Seen], scale: float) -> float:
@@ -150,15 +151,18 @@ def _two_levels(clear: Floats, size: tuple[int, int]) -> tuple[tuple[Sizes, floa
     return (Sizes(0.0, limit), fine), (Sizes(limit, math.inf), LARGE_PX / large)
 
 
-def _differ(clear: Sequence[Floats]) -> bool:
-    """Whether typical diameters of frames' clear droplets (N,) px differ so that no scale suits.
+def _differ(seen: Sequence[Seen]) -> bool:
+    """Whether what most of the area is of differs so much between frames that no scale suits.
 
-    >>> _differ([np.array([20.0, 22]), np.array([60.0]), np.zeros(0)])
-    True
-    >>> _differ([np.array([20.0, 60, 22]), np.array([25.0])])
-    False
+    Not where fewer than half of the frames have a droplet that is surely one.
     """
-    typical = [float(np.median(one)) for one in clear if len(one)]
+    typical = [
+        _typical(one.diameters[one.evidence >= CLEAR])
+        for one in seen
+        if one.evidence.max(initial=0) >= SURELY
+    ]
+    if 2 * len(typical) < len(seen):
+        return False
     low, high = np.quantile(typical, [0.1, 0.9])
     return bool(high > DIFFER * low)
 

@@ -86,7 +86,7 @@ def test_clear_droplets_among_many_specks_still_get_a_scale() -> None:
         assert choice.scale == pytest.approx(wanted)
 
 
-@pytest.mark.parametrize(("n_empty", "score", "chosen"), [(1, 0.65, 1), (2, 0.65, 0), (2, 0.9, 1)])
+@pytest.mark.parametrize(("n_empty", "score", "chosen"), [(0, 0.65, 1), (1, 0.65, 0), (2, 0.9, 1)])
 def test_what_few_frames_have_has_to_be_seen_more_surely(
     n_empty: int, score: float, chosen: int
 ) -> None:

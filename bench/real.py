@@ -8,7 +8,7 @@ settings for the set.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -38,6 +38,9 @@ MIN_SCORE = 0.01
 DEFAULT_SCORE = 0.4
 MAX_IOU = 0.3
 EDGE_PX = 2.0
+SIZES = {"small": (0.0, 32.0), "middle": (32.0, 96.0), "large": (96.0, np.inf)}  # px, as COCO's
+Range = tuple[float, float]
+ALL_SIZES = (0.0, np.inf)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,11 +73,15 @@ class LabelledImage:
 
 @dataclass(frozen=True, kw_only=True)
 class Scores:
-    """What was found on a set; NaN where the set cannot tell."""
+    """What was found on a set; NaN where the set cannot tell.
+
+    `ap50_of_sizes`: of droplets with a sqrt(w h) in the SIZES, as COCO's evaluation takes them.
+    """
 
     ap50: float
     recall: float
     precision: float
+    ap50_of_sizes: tuple[float, ...] = ()
 
     @property
     def worth(self) -> float:
@@ -107,22 +114,41 @@ def score_set(
 ) -> Scores:
     """AP50, and recall and precision at the default score, of what `find` gives for each image."""
     images = list(images)
+    found = [find(one.image) for one in images]
+    best_first = [one[np.argsort(-one.scores, kind="stable")] for one in found]
+    of_sizes = (_score_sizes(images, best_first, rules, sizes).ap50 for sizes in SIZES.values())
+    return replace(
+        _score_sizes(images, best_first, rules, ALL_SIZES), ap50_of_sizes=tuple(of_sizes)
+    )
+
+
+def _score_sizes(
+    images: Sequence[LabelledImage], found: Sequence[Detections], rules: SetRules, sizes: Range
+) -> Scores:
+    """Scores of detections, best first, of droplets of some sizes; others neither help nor harm."""
     lines = _channel_lines(images) if rules.only_whole_plugs else {}
     scores, hits, n = [np.zeros(0)], [np.zeros(0)], 0
-    for one in images:
-        found = find(one.image)
-        found = found[np.argsort(-found.scores, kind="stable")]
-        ignored = _ignored(one, rules)
-        hit = _hits(found, one.truth, ignored, rules.min_iou)
+    for one, mine in zip(images, found, strict=True):
+        ignored = _ignored(one, rules) | ~_of_sizes(one.truth.boxes, sizes)
+        hit = _hits(mine, one.truth, ignored, rules.min_iou)
+        hit[(hit == 0) & ~_of_sizes(mine.boxes, sizes)] = np.nan
         if not rules.cut_count or rules.only_whole_plugs:
-            hit[(hit == 0) & _cut(found.boxes, one.image.shape)] = np.nan
+            hit[(hit == 0) & _cut(mine.boxes, one.image.shape)] = np.nan
         if rules.only_whole_plugs:
             line = lines[_series(one)]
-            hit[(hit == 0) & _beside_plugs(found.boxes, one.truth.boxes, line)] = np.nan
-        scores.append(found.scores)
+            hit[(hit == 0) & _beside_plugs(mine.boxes, one.truth.boxes, line)] = np.nan
+        scores.append(mine.scores)
         hits.append(hit)
         n += int((~ignored).sum())
+    if not n:
+        return Scores(ap50=np.nan, recall=np.nan, precision=np.nan)
     return _scores(np.concatenate(scores), np.concatenate(hits), n, complete=rules.complete)
+
+
+def _of_sizes(boxes: Floats, sizes: Range) -> Bools:
+    """Which boxes (N,) have a sqrt(w h) from the one size, px, to below the other."""
+    side = np.sqrt(boxes[:, 2:].prod(axis=1))
+    return np.asarray((side >= sizes[0]) & (side < sizes[1]))
 
 
 def _scores(scores: Floats, hits: Floats, n: int, *, complete: bool) -> Scores:
@@ -286,6 +312,7 @@ def rows_of(folder: Path, name: str, weights: Path | None) -> Iterator[tuple[str
 def run(folder: Path, weights: Path | None, sets: Iterable[str]) -> None:
     """Print a table for each set that is there; by default, of the bundled model for footage.
 
+    AP50, recall and precision of all droplets, then AP50 of small, middle and large ones (SIZES).
     Raises KeyError for a set without rules.
     """
     weights = weights or Path(FOOTAGE)
@@ -294,10 +321,10 @@ def run(folder: Path, weights: Path | None, sets: Iterable[str]) -> None:
         if not (folder / name).is_dir():
             continue
         table = Table(title=name, title_justify="left")
-        for heading in ("method", "AP50", "recall", "precision"):
+        for heading in ("method", "AP50", "recall", "precision", *SIZES):
             table.add_column(heading, justify="left" if heading == "method" else "right")
         for method, scores in rows_of(folder, name, weights):
-            values = (scores.ap50, scores.recall, scores.precision)
+            values = (scores.ap50, scores.recall, scores.precision, *scores.ap50_of_sizes)
             table.add_row(method, *("" if np.isnan(v) else f"{v:.3f}" for v in values))
         console.print(table)
     for name in SEQUENCES:

@@ -1,5 +1,6 @@
 """Scores on real images: of all droplets, and of small, middle and large ones, by hand."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from bench.real import SIZES, LabelledImage, SetRules, score_set
 from droptrack.data.detections import Detections
 
 
-def boxes_of(rows: list[tuple[float, float, float, float]]) -> Detections:
+def boxes_of(rows: Sequence[tuple[float, ...]]) -> Detections:
     """Squares (x, y, side, score)."""
     array = np.array(rows, float).reshape(-1, 4)
     boxes = np.column_stack([array[:, :2], array[:, 2], array[:, 2]])

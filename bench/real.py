@@ -266,19 +266,10 @@ class AutoFinder:
             samples = [grey_frame(alike[number]) for number in spread(len(alike), N_SAMPLES)]
             own = Canvas.like(width, height, (cfg.width, cfg.height))
             choice = choose_scale(samples, detector, own.scale)
-            if choice.levels:
-                scales = [scale for _, scale in choice.levels]
-                self._finders[height, width] = Pyramid(
-                    [
-                        (sizes, ScaledFinder(scale, weights).detector(width, height))
-                        for sizes, scale in choice.levels
-                    ]
-                )
-            else:
-                scales = [choice.scale]
-                self._finders[height, width] = ScaledFinder(choice.scale, weights).detector(
-                    width, height
-                )
+            scales = [scale for _, scale in choice.levels] or [choice.scale]
+            found = [ScaledFinder(scale, weights).detector(width, height) for scale in scales]
+            levels = [(sizes, one) for (sizes, _), one in zip(choice.levels, found, strict=False)]
+            self._finders[height, width] = Pyramid(levels) if levels else found[0]
             self.scales = sorted({*self.scales, *scales})
 
     def __call__(self, image: Pixels) -> Detections:

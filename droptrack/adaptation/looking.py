@@ -56,8 +56,8 @@ def open_looks(config: DetectorConfig, shots: Sequence[Shot], say: Say) -> Looks
         return open_detector(how, (width, height), lambda: samples, live=False, say=tell)
 
     first = opened(low, say)
-    if first.has_levels:  # a network learns at one scale
-        first = opened(replace(low, scale=first.scale), say)
+    if first.alone is not None:  # a network learns at one scale
+        first = opened(replace(low, scale=first.alone), say)
     others = [
         opened(replace(low, size=None, diameter_px=None, scale=first.scale * factor), _silent)
         for factor in FACTORS[1:]

@@ -230,7 +230,8 @@ class _Detectors:
                 continue
             if "model" in how.settings:
                 config = replace(config, weights=Path(str(how.settings["model"])))
-            if "scale_chosen_from" in how.settings and not (how.has_levels or how.differ):
+            is_one = how.alone is None and not how.differ
+            if "scale_chosen_from" in how.settings and is_one:
                 config = replace(config, scale=how.scale)
         return config
 

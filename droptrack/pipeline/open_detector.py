@@ -40,11 +40,11 @@ from droptrack.pipeline.notes import Say
 class OpenedDetector:
     """A detector, the network and weights it has, and px of its input for a px of the frames.
 
-    Of several scales, the network is that for the smallest droplets, and so is the scale, unless
-    one was chosen that is best alone. `settings`: the scale and how it was chosen, and how frames
-    are changed, for the report. `region`: where droplets count; None: everywhere. `stretching`: of
-    faint frames, as suits the network; None: of none. `differ`: whether the frames' droplets differ
-    in size so that no scale suits all frames.
+    Of several scales, the network and the scale are those for the smallest droplets; `alone`: the
+    scale that would be best alone, where several were chosen from the frames. `settings`: the scale
+    and how it was chosen, and how frames are changed, for the report. `region`: where droplets
+    count; None: everywhere. `stretching`: of faint frames, as suits the network; None: of none.
+    `differ`: whether the frames' droplets differ in size so that no scale suits all frames.
     """
 
     detector: Finder
@@ -54,12 +54,8 @@ class OpenedDetector:
     settings: dict[str, Value] = field(default_factory=dict)
     region: Region | None = None
     stretching: Stretching | None = None
+    alone: float | None = None
     differ: bool = False
-
-    @property
-    def has_levels(self) -> bool:
-        """Whether there are several scales."""
-        return isinstance(self.detector, Pyramid)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +63,7 @@ class _Plan:
     """A network, its weights, and what its inputs show of frames, each for droplets of some sizes.
 
     No canvases: as the frames suggest. `settings`: what was chosen from frames, for the report.
-    `alone`: the scale that would be best alone, of several that were chosen. `differ`: as
-    `OpenedDetector` has it.
+    `alone` and `differ`: as `OpenedDetector` has them.
     """
 
     cfg: Cfg
@@ -131,7 +126,7 @@ def open_detector(
         detector=_together(levels),
         cfg=resized(plan.cfg, *first.network),
         weights=plan.weights,
-        scale=first.scale if plan.alone is None else plan.alone,
+        scale=first.scale,
         settings={
             "scale": first.scale if len(scales) == 1 else [f"{scale:.3g}" for scale in scales],
             **plan.settings,
@@ -139,6 +134,7 @@ def open_detector(
         },
         region=region,
         stretching=_stretching(plan.weights) if config.normalises else None,
+        alone=plan.alone,
         differ=plan.differ,
     )
 

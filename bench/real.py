@@ -25,6 +25,7 @@ from droptrack.data.frames import grey_frame
 from droptrack.data.samples import N_SAMPLES, spread
 from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Network, Precision, choose_detector
+from droptrack.detection.looks import STILL_LOOKS, SeveralLooks, look_factors
 from droptrack.detection.pyramid import Pyramid
 from droptrack.detection.scale import Canvas
 from droptrack.detection.scale_choice import choose_scale
@@ -226,34 +227,39 @@ def _beside_plugs(boxes: Floats, plugs: Floats, line: Floats) -> Bools:
 
 
 class ScaledFinder:
-    """droptrack's network at a scale of the image, never stretched."""
+    """droptrack's network at a scale of the image, never stretched; or at several around it."""
 
-    def __init__(self, scale: float, weights: Path | None = None) -> None:
-        self.scale = scale
+    def __init__(self, scale: float, weights: Path | None = None, n_looks: int = 1) -> None:
+        self.scale, self._factors = scale, look_factors(n_looks)
         self._cfg, self._weights = find_network(weights)
-        self._detectors: dict[tuple[int, int], Detector] = {}
+        self._detectors: dict[tuple[int, int], Detector | SeveralLooks] = {}
 
     def __call__(self, image: Pixels) -> Detections:
         """Droplets of a grey image (H, W)."""
         return self.detector(image.shape[1], image.shape[0]).detect([grey_frame(image)])[0]
 
-    def detector(self, width: int, height: int) -> Detector:
+    def detector(self, width: int, height: int) -> Detector | SeveralLooks:
         """What finds droplets of images of a size, px."""
         if (width, height) not in self._detectors:
-            canvas = Canvas.of(width, height, self.scale)
-            network = Network(
-                resized(self._cfg, *canvas.network),
-                self._weights,
-                threshold=MIN_SCORE,
-                max_iou=MAX_IOU,
-                canvas=canvas,
-            )
-            self._detectors[width, height] = choose_detector(network, precision=Precision.fp32)
+            looks = [self._look(width, height, self.scale * factor) for factor in self._factors]
+            found = looks[0] if len(looks) == 1 else SeveralLooks(looks, MIN_SCORE)
+            self._detectors[width, height] = found
         return self._detectors[width, height]
+
+    def _look(self, width: int, height: int, scale: float) -> Detector:
+        canvas = Canvas.of(width, height, scale)
+        network = Network(
+            resized(self._cfg, *canvas.network),
+            self._weights,
+            threshold=MIN_SCORE,
+            max_iou=MAX_IOU,
+            canvas=canvas,
+        )
+        return choose_detector(network, precision=Precision.fp32)
 
 
 class AutoFinder:
-    """droptrack's network at the scale, or scales, that some images of each size suggest."""
+    """droptrack's network as `detect` has it, at scales that some images of each size suggest."""
 
     def __init__(self, images: Sequence[Pixels], weights: Path | None = None) -> None:
         cfg, path = find_network(weights)
@@ -267,7 +273,8 @@ class AutoFinder:
             own = Canvas.like(width, height, (cfg.width, cfg.height))
             choice = choose_scale(samples, detector, own.scale)
             scales = [scale for _, scale in choice.levels] or [choice.scale]
-            found = [ScaledFinder(scale, weights).detector(width, height) for scale in scales]
+            finders = [ScaledFinder(scale, weights, STILL_LOOKS) for scale in scales]
+            found = [finder.detector(width, height) for finder in finders]
             levels = [(sizes, one) for (sizes, _), one in zip(choice.levels, found, strict=False)]
             self._finders[height, width] = Pyramid(levels) if levels else found[0]
             self.scales = sorted({*self.scales, *scales})

@@ -8,6 +8,7 @@ import typer
 from droptrack.data.formats.contours import ContoursFormat
 from droptrack.data.units import Units, parse_known_length
 from droptrack.detection.engine_choice import Backend, Precision
+from droptrack.detection.looks import MAX_LOOKS
 from droptrack.errors import DroptrackError
 
 WeightsOption = Annotated[
@@ -45,6 +46,15 @@ DiameterOption = Annotated[
         metavar="PX|PX-PX",
         help="Diameter of a typical droplet, px of the frames, for the scale; or the smallest and "
         "the largest: others do not count, and several scales are used where one is too few.",
+    ),
+]
+LooksOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        max=MAX_LOOKS,
+        help="At how many scales around the one chosen the network sees each frame; their mean "
+        "counts: fewer false boxes, in more time. Default: 1, but 3 for single images.",
     ),
 ]
 ScoreOption = Annotated[float, typer.Option(min=0, max=1, help="Minimum score of a droplet.")]

@@ -24,6 +24,7 @@ from droptrack.options import (
     KnownLengthOption,
     LevelsOption,
     LineOption,
+    LooksOption,
     MaxIouOption,
     NamesOption,
     NormaliseOption,
@@ -102,6 +103,7 @@ def configured(
     size: SizeOption = None,
     scale: ScaleOption = None,
     diameter: DiameterOption = None,
+    looks: LooksOption = None,
     live: Annotated[
         bool | None,
         typer.Option(
@@ -220,6 +222,7 @@ def configured(
         size=size,
         scale=None if scale is None else parse_scale(scale),
         diameter_px=None if diameter is None else parse_diameter(diameter),
+        looks=looks,
         backend=backend,
         precision=precision,
         live=live,

@@ -15,19 +15,17 @@ from droptrack.data.detections import (
     Detections,
     boxes_from_xyxy,
     intersections,
-    iou_of_pairs,
     xyxy_from_boxes,
 )
 from droptrack.data.samples import N_SAMPLES, spread
 from droptrack.detection.detector import Finder
+from droptrack.detection.looks import MIN_SCORE, fuse, look_factors
 from droptrack.detection.suppression import suppress_duplicates
 from droptrack.pipeline.config import DetectorConfig
 from droptrack.pipeline.notes import Say
 from droptrack.pipeline.open_detector import OpenedDetector, open_detector
 
-FACTORS = (1.0, 0.8, 1.25)  # on the scale
-MIN_SCORE = 0.05  # of a detection that is looked at
-SAME_IOU = 0.5  # of two boxes of one droplet
+N_LOOKS = 3
 EDGE_PX = 2.0  # from an image's edge, within which a droplet may be cut
 MIN_SIDE_PX = 1.0
 
@@ -50,7 +48,7 @@ def open_looks(config: DetectorConfig, shots: Sequence[Shot], say: Say) -> Looks
     """Detectors for images of one size, at the scale that `config` says or the images suggest."""
     height, width = shots[0].frame.shape[:2]
     samples = [shots[place].frame for place in spread(len(shots), N_SAMPLES)]
-    low = replace(config, score=MIN_SCORE)
+    low = replace(config, score=MIN_SCORE, looks=1)
 
     def opened(how: DetectorConfig, tell: Say) -> OpenedDetector:
         return open_detector(how, (width, height), lambda: samples, live=False, say=tell)
@@ -60,7 +58,7 @@ def open_looks(config: DetectorConfig, shots: Sequence[Shot], say: Say) -> Looks
         first = opened(replace(low, scale=first.alone), say)
     others = [
         opened(replace(low, size=None, diameter_px=None, scale=first.scale * factor), _silent)
-        for factor in FACTORS[1:]
+        for factor in look_factors(N_LOOKS)[1:]
     ]
     return Looks(
         detectors=tuple(one.detector for one in (first, *others)),
@@ -82,7 +80,7 @@ def seen_once(looks: Looks, shot: Shot, which: int = 0) -> Detections:
 def seen_in_all(looks: Looks, shot: Shot) -> tuple[Detections, Floats]:
     """Droplets of an image, of all looks together, and the share (N,) of looks that show each.
 
-    Boxes are means, weighted by the scores; a score is the mean over all looks.
+    See `detection.looks.fuse`.
     """
     parts: list[Detections] = []
     mirrored = np.ascontiguousarray(shot.frame[:, ::-1])
@@ -99,41 +97,6 @@ def seen_in_all(looks: Looks, shot: Shot) -> tuple[Detections, Floats]:
     keep = suppress_duplicates(fused, looks.max_iou, greedy=True)
     order = {tuple(box): share for box, share in zip(fused.boxes.tolist(), shares, strict=True)}
     return keep, np.array([order[tuple(box)] for box in keep.boxes.tolist()])
-
-
-def fuse(parts: Sequence[Detections]) -> tuple[Detections, Floats]:
-    """Detections of several looks as one, and the share (N,) of looks that show each.
-
-    The surest detection comes first; each look has one box a droplet at most.
-
-    >>> box = np.array([[50.0, 50, 20, 20]])
-    >>> one, two = (Detections(box + [d, 0, 0, 0], np.array([0.8]), np.zeros(1, int))
-    ...             for d in (0, 2))
-    >>> fused, shares = fuse([one, two])
-    >>> fused.boxes.round(6).tolist(), fused.scores.round(6).tolist(), shares.tolist()
-    ([[51.0, 50.0, 20.0, 20.0]], [0.8], [1.0])
-    """
-    of = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    boxes = np.concatenate([np.zeros((0, 4)), *(part.boxes for part in parts)])
-    scores = np.concatenate([np.zeros(0), *(part.scores for part in parts)])
-    free = np.ones(len(boxes), bool)
-    fused, sure, shares = [], [], []
-    for i in np.argsort(-scores, kind="stable").tolist():
-        if not free[i]:
-            continue
-        iou = iou_of_pairs(boxes[i], boxes) * free
-        members = []
-        for part in range(len(parts)):
-            mine = np.flatnonzero((of == part) & (iou >= SAME_IOU))
-            if len(mine):
-                members.append(int(mine[iou[mine].argmax()]))
-        free[members] = False
-        fused.append(np.average(boxes[members], axis=0, weights=scores[members]))
-        sure.append(scores[members].sum() / len(parts))
-        shares.append(len(members) / len(parts))
-    n = len(fused)
-    together = Detections(np.array(fused).reshape(-1, 4), np.array(sure), np.zeros(n, np.int64))
-    return together, np.array(shares)
 
 
 def within(found: Detections, size: tuple[int, int]) -> Detections:

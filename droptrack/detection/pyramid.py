@@ -16,6 +16,7 @@ from droptrack.data.detections import Detections
 from droptrack.data.frames import Frame
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.detector import Detector, Engine
+from droptrack.detection.looks import SeveralLooks
 from droptrack.detection.scale import DIAMETER_PX
 from droptrack.detection.suppression import suppress_duplicates
 from droptrack.errors import DroptrackError
@@ -66,7 +67,7 @@ def levels_for(smallest: float, largest: float) -> list[Sizes]:
 class Pyramid:
     """Finds droplets with a detector a level: (sizes, detector), smallest sizes first."""
 
-    def __init__(self, levels: Sequence[tuple[Sizes, Detector]]) -> None:
+    def __init__(self, levels: Sequence[tuple[Sizes, Detector | SeveralLooks]]) -> None:
         self._levels = levels
         self._max_iou = levels[0][1].max_iou
 

@@ -25,9 +25,11 @@ class DetectorConfig:
     px of the network's input for a px of the frames, or "auto", what some of the frames suggest; or
     `diameter_px`, the diameter of a typical droplet in the frames, from which the scale follows, or
     the smallest and the largest (`detection.pyramid`); without, "auto" for the bundled model of
-    footage, and for others as large as the cfg says, in the frames' shape. `score`: the minimum
-    score of a droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`: droplets
-    are darker than their surroundings.
+    footage, and for others as large as the cfg says, in the frames' shape. `looks`: at how many
+    scales around it the network sees each frame (`detection.looks`); None: one, or
+    `looks.STILL_LOOKS` at single images where the scale is not the network's own. `score`: the
+    minimum score of a droplet. `max_iou`: the IoU above which two boxes are one droplet. `dark`:
+    droplets are darker than their surroundings.
     `normalise`: show the network grey frames of full contrast (`data.normalisation`); None:
     the bundled models only, which learned them so. `region`: where droplets count, a polygon or an
     image, see `data.region.Region.read`; None: everywhere. `shape`: measure the droplets' outlines,
@@ -41,6 +43,7 @@ class DetectorConfig:
     size: str | None = None
     scale: float | str | None = None
     diameter_px: float | tuple[float, float] | None = None
+    looks: int | None = None
     backend: Backend = Backend.auto
     precision: Precision = Precision.auto
     score: float = MIN_SCORE

@@ -22,6 +22,7 @@ from droptrack.data.sources.microscopy import MICROSCOPY_SUFFIXES
 from droptrack.data.sources.opencv_names import printable
 from droptrack.data.video import IMAGE_SUFFIXES, Video, image_files
 from droptrack.detection.engine_choice import Engines
+from droptrack.detection.looks import STILL_LOOKS
 from droptrack.errors import DroptrackError
 from droptrack.measurement.shapes import DEFINITION
 from droptrack.network.bundled import find_network
@@ -185,38 +186,47 @@ class _Detectors:
 
     def __init__(self, config: ImagesConfig, say: Say) -> None:
         self._config, self._say = config, say
-        self._of_sizes: dict[Size, OpenedDetector] = {}
+        self._of_kinds: dict[tuple[Size, bool], OpenedDetector] = {}  # sizes, and whether alone
         self._engines = Engines(n_held=N_ENGINES)
 
     @property
     def first(self) -> OpenedDetector:
         """That for images of the first size."""
-        return next(iter(self._of_sizes.values()))
+        return next(iter(self._of_kinds.values()))
 
     def of(self, image: Image) -> OpenedDetector:
         """That for an image."""
         size = (image.frame.shape[1], image.frame.shape[0])
-        if size not in self._of_sizes:
+        kind = (size, image.is_alone)
+        if kind not in self._of_kinds:
             samples = functools.partial(_samples, self._config, image)
-            opened = self._open(self._as_for_like_images(size), size, samples, self._say)
-            self._of_sizes[size] = opened
+            config = self._as_for_like_images(size)
+            opened = self._open(config, image, samples, self._say)
+            self._of_kinds[kind] = opened
             if opened.differ and image.is_alone:
                 self._say(
                     "droplets of the images differ in size: each image is seen at a scale of its "
                     "own; one for all: --scale or --diameter"
                 )
-        opened = self._of_sizes[size]
+        opened = self._of_kinds[kind]
         if opened.differ and image.is_alone:
             model = opened.settings.get("model", self._config.weights)
             own = replace(self._config, weights=None if model is None else Path(str(model)))
-            return self._open(own, size, lambda: [image.frame], lambda _: None)
+            return self._open(own, image, lambda: [image.frame], lambda _: None)
         return opened
 
     def _open(
-        self, config: ImagesConfig, size: Size, samples: Callable[[], list[Frame]], say: Say
+        self, config: ImagesConfig, image: Image, samples: Callable[[], list[Frame]], say: Say
     ) -> OpenedDetector:
         return open_detector(
-            config, size, samples, live=False, say=say, engines=self._engines, each=True
+            config,
+            (image.frame.shape[1], image.frame.shape[0]),
+            samples,
+            live=False,
+            say=say,
+            engines=self._engines,
+            each=True,
+            looks=STILL_LOOKS if image.is_alone else 1,
         )
 
     def _as_for_like_images(self, size: Size) -> ImagesConfig:
@@ -225,7 +235,7 @@ class _Detectors:
         Of several scales, none: they are chosen anew, from the same images and this one.
         """
         config = self._config
-        for other, how in self._of_sizes.items():
+        for (other, _), how in self._of_kinds.items():
             if not _about_equal(size, other):
                 continue
             if "model" in how.settings:

@@ -19,6 +19,7 @@ from droptrack.data.report import Value
 from droptrack.detection import decoding, scale_evidence
 from droptrack.detection.detector import Detector, Finder
 from droptrack.detection.engine_choice import Engines, Network, choose_detector
+from droptrack.detection.looks import MIN_SCORE, SeveralLooks, look_factors
 from droptrack.detection.model_choice import (
     MIN_AGREEMENT,
     MIN_SIDE_PX,
@@ -83,12 +84,14 @@ def open_detector(
     say: Say,
     engines: Engines | None = None,
     each: bool = False,
+    looks: int = 1,
 ) -> OpenedDetector:
     """A detector for frames of a size (width, height) px; `live`: for the shortest time a frame.
 
     `samples`: some of the frames, which are asked for where something is to be chosen from them.
     `say` is told what was chosen, which engines were not used, and why. `engines`: of other videos.
     `each`: frames are normalised one by one, by who has them detected; otherwise all alike.
+    `looks`: how many, where the configuration does not say, if the scale is not the network's own.
     Raises DroptrackError for what is not to be had as it is wanted.
     """
     width, height = size
@@ -105,21 +108,28 @@ def open_detector(
         decoding.load_loops()
         droplets.load_loops()
     region = None if config.region is None else Region.read(config.region, width, height)
-    levels = []
-    for sizes, canvas in plan.canvases:
+    n_looks = config.looks or (looks if _is_scaled(config, plan) else 1)
+    score = config.score if n_looks == 1 else min(config.score, MIN_SCORE)
+
+    def detector_on(canvas: Canvas) -> Detector:
         network = Network(
             resized(plan.cfg, *canvas.network),
             plan.weights,
-            threshold=config.score,
+            threshold=score,
             max_iou=config.max_iou,
             normalisation=normalisation,
             canvas=canvas,
             region=region,
         )
-        detector = choose_detector(
+        return choose_detector(
             network, config.backend, config.precision, live=live, say=say, engines=engines
         )
-        levels.append((sizes, detector))
+
+    levels: list[tuple[Sizes | None, Detector | SeveralLooks]] = []
+    for sizes, canvas in plan.canvases:
+        detectors = [detector_on(one) for one in _looks_around(canvas, n_looks)]
+        one_look = n_looks == 1
+        levels.append((sizes, detectors[0] if one_look else SeveralLooks(detectors, config.score)))
     first = plan.canvases[0][1]
     scales = [canvas.scale for _, canvas in plan.canvases]
     return OpenedDetector(
@@ -130,6 +140,7 @@ def open_detector(
         settings={
             "scale": first.scale if len(scales) == 1 else [f"{scale:.3g}" for scale in scales],
             **plan.settings,
+            "looks": n_looks,
             "network_sees": str(normalisation),
         },
         region=region,
@@ -162,7 +173,20 @@ def _stretching(weights: Path) -> Stretching:
     return GENTLE if weights == MODELS[FOOTAGE] else FULL
 
 
-def _together(levels: Sequence[tuple[Sizes | None, Detector]]) -> Finder:
+def _is_scaled(config: DetectorConfig, plan: _Plan) -> bool:
+    """Whether the scale of frames is given or chosen, not that of the network's own size."""
+    given = config.scale is not None or config.diameter_px is not None
+    return config.size is None and (given or plan.weights == MODELS[FOOTAGE])
+
+
+def _looks_around(canvas: Canvas, n: int) -> list[Canvas]:
+    """Canvases of `n` looks at a frame, but for those whose inputs would be too large."""
+    scales = [canvas.scale * factor for factor in look_factors(n)[1:]]
+    others = [Canvas.of(*canvas.frame, scale) for scale in scales]
+    return [canvas, *(one for one in others if max(one.network) <= MAX_SIDE_PX)]
+
+
+def _together(levels: Sequence[tuple[Sizes | None, Detector | SeveralLooks]]) -> Finder:
     """One detector of all levels; a plain one where sizes do not matter."""
     sized = [(sizes, detector) for sizes, detector in levels if sizes is not None]
     return Pyramid(sized) if sized else levels[0][1]
@@ -180,6 +204,8 @@ def _given_canvases(
         options = " and ".join(f"--{name.removesuffix('_px')}" for name in given)
         raise DroptrackError(f"{options}: each says how large the input is; give one of them")
     own = (network.width, network.height)
+    if config.size is not None and (config.looks or 1) > 1:
+        raise DroptrackError("--size and --looks: looks are at several scales; give --scale")
     if config.size is not None:
         return [(None, Canvas(own, (width, height), (width, height)))]
     if isinstance(config.diameter_px, tuple):

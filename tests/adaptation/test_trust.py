@@ -8,7 +8,7 @@ import pytest
 
 from droptrack.adaptation.comparison import Quality, n_alike, verdict
 from droptrack.adaptation.footage import _choose, is_still
-from droptrack.adaptation.looking import covered, fuse, within
+from droptrack.adaptation.looking import covered, within
 from droptrack.adaptation.trust import _inside_others, _steady, _trust_tracks, track
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
@@ -56,19 +56,6 @@ def test_what_stays_while_others_move_is_no_droplet() -> None:
     dirt = np.array([250.0, 150, 20, 20])
     frames = [[moving(t), moving(t, y=90), dirt] for t in range(15)]
     assert rows_of(frames) == ([2] * 15, 2)
-
-
-def test_looks_agree_on_what_most_of_them_show() -> None:
-    """Two droplets; the second in one of three looks. Scores are means over all looks."""
-    looks = [found([[50, 50, 20, 20], [120, 50, 20, 20]], 0.9)]
-    looks += [found([[51, 50, 20, 20]], 0.6), found([[49, 50, 20, 22]], 0.6)]
-    fused, shares = fuse(looks)
-    assert len(fused) == 2
-    assert fused.scores == pytest.approx([0.7, 0.3])
-    assert shares == pytest.approx([1, 1 / 3])
-    expected = (0.9 * 50 + 0.6 * 51 + 0.6 * 49) / 2.1
-    assert fused.boxes[0, 0] == pytest.approx(expected)
-    assert fused.boxes[0, 3] == pytest.approx((0.9 * 20 + 0.6 * 20 + 0.6 * 22) / 2.1)
 
 
 def test_boxes_end_where_their_image_does() -> None:

@@ -28,6 +28,7 @@ from droptrack.training.pytorch.images import (
     quiet_worker,
     share_by_files,
 )
+from droptrack.training.pytorch.memory import memory_kept
 from droptrack.training.pytorch.optimisation import gradient_step, learning_rate, make_optimizer
 from droptrack.training.pytorch.settings import Job
 from droptrack.training.pytorch.validation import mean_average_precision
@@ -42,7 +43,8 @@ def train(job: Job) -> Generator[Step, None, None]:
     whenever the training stops, ``_best.weights`` at the best mAP, ``_final.weights`` at the end;
     ``training.csv`` and ``training.png``. Raises DroptrackError when the loss diverges.
     """
-    with other_ranks(job.settings.devices, job.settings.workers, _train_along, job):
+    others = other_ranks(job.settings.devices, job.settings.workers, _train_along, job)
+    with memory_kept(), others:
         yield from _lead(job)
 
 

@@ -23,6 +23,7 @@ COMMANDS = {
     "analyse": "Quantities that papers report, of any trajectories, with errors and null models.",
     "calibrate": "Prune a network, measure what 8 bits need, check that it costs little, and keep "
     "it.",
+    "narrow": "Write a network with fewer filters, which Darknet reads, too, to train it on.",
     "export": "Write a network as an ONNX model, which nearly every inference engine reads.",
     "anchors": "Find the anchors that suit a data set's droplets best.",
 }

@@ -117,9 +117,13 @@ def _layers_passed_on(cfg: Cfg, index: int) -> list[int]:
 
 
 def choose_pruning(
-    cfg: Cfg, kernels: Mapping[int, Float32s], moments: Mapping[int, Moments], error: float
+    cfg: Cfg,
+    kernels: Mapping[int, Float32s],
+    moments: Mapping[int, Moments],
+    error: float,
+    filters: Mapping[int, int] | None = None,
 ) -> Pruning:
-    """Prune as many channels as an error allows.
+    """Prune as many channels as an error allows; or to as many `filters` as given, by layer.
 
     `kernels` (outputs, inputs, h, w) of the convolutions, with their normalisation, and `moments`
     of what each of the `readers` reads, by layer. `error`: mean square of the change of what a head
@@ -141,7 +145,10 @@ def choose_pruning(
             if source in unexplained:
                 part = _Unexplained(second[own, own], metric[own, own], allowed)
                 unexplained[source].append(part)
-    chosen = {layer: choose_channels(parts) for layer, parts in unexplained.items()}
+    if filters is None:
+        chosen = {layer: choose_channels(parts) for layer, parts in unexplained.items()}
+    else:
+        chosen = {layer: choose_channels(unexplained[layer], n) for layer, n in filters.items()}
     kept = {layer: rows for layer, rows in chosen.items() if len(rows) < channels[layer]}
     reconstructions = {}
     for reader, sources in readers(cfg).items():
@@ -192,10 +199,16 @@ class _Unexplained:
         self._rest -= float(explained @ explained)
 
 
-def choose_channels(parts: Sequence[_Unexplained]) -> Rows:
-    """Few channels (K,), ascending, that explain enough to all readers; chosen greedily."""
+def choose_channels(parts: Sequence[_Unexplained], n: int | None = None) -> Rows:
+    """Few channels (K,), ascending, that explain enough to all readers, or `n`; chosen greedily."""
     chosen: list[int] = []
-    while not chosen or len(chosen) % STEP or max(part.share for part in parts) > 1:
+
+    def enough() -> bool:
+        if n is not None:
+            return len(chosen) == n
+        return bool(chosen) and not len(chosen) % STEP and max(p.share for p in parts) <= 1
+
+    while not enough():
         gains = np.sum([part.gains() for part in parts], axis=0)
         gains[chosen] = -1
         best = int(gains.argmax())

@@ -83,7 +83,7 @@ def calibrate(
         return _mean([mean_average_precisions(engine, valid, size) for engine, size in pairs])
 
     map_fp32 = maps(OpenVinoEngine(one, values, "fp32", MIN_SCORE) for one in cfgs)
-    frames = functools.partial(_frames, train, zoomed=any_size)
+    frames = functools.partial(calibration_frames, train, zoomed=any_size)
     for pruning in prunings(cfg, values, frames, error):
         smaller, kept = pruned(cfg, values, pruning)
         ranges = merge_ranges(cfg, measure_ranges(smaller, kept, quantised_layers(cfg), frames))
@@ -158,7 +158,7 @@ def _degraded(labelled: Iterable[LabelledImage]) -> Iterator[LabelledImage]:
         yield degrade(image, rng), ground_truth
 
 
-def _frames(paths: Sequence[Path], stage: str, *, zoomed: bool) -> Iterator[Frame]:
+def calibration_frames(paths: Sequence[Path], stage: str, *, zoomed: bool) -> Iterator[Frame]:
     """Each image as it is, then degraded, with a progress bar.
 
     `zoomed`: every other one is shown larger or smaller, as an input of another size shows it.

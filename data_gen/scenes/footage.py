@@ -71,8 +71,10 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     if stop is not None:
         dark = np.float32(rng.uniform(0, 40))
         canvas[~stop] = dark
-    if rng.random() < (0.4 if name == "empty" else 0.25):
-        add_text(rng, canvas)
+    if rng.random() < (0.5 if name == "empty" else 0.25):
+        many = name == "empty" and rng.random() < 0.5  # most of an image is far from its caption
+        for _ in range(int(rng.integers(3, 16)) if many else 1):
+            add_text(rng, canvas, anywhere=many)
     if is_faint:
         image = _photograph_faint(rng, canvas, look.contrast)
     else:

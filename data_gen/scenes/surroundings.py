@@ -67,15 +67,20 @@ def add_dirt(rng: np.random.Generator, canvas: Float32s) -> None:
         canvas += layer * np.float32(rng.normal(0, 50) / 255)
 
 
-def add_text(rng: np.random.Generator, canvas: Float32s) -> None:
-    """What cameras write into their images: time stamps, scale bars, some in a box; in place."""
+def add_text(rng: np.random.Generator, canvas: Float32s, *, anywhere: bool) -> None:
+    """What cameras write into their images: time stamps, scale bars, some in a box; in place.
+
+    At the upper or the lower edge in most cases, if not `anywhere`.
+    """
     height, width = canvas.shape
     n_words = int(rng.integers(2, 9)) if rng.random() < 0.35 else 1
     n_lines = 1 if rng.random() < 0.8 else int(rng.integers(2, 5))
     lines = [" ".join(_caption(rng) for _ in range(n_words)) for _ in range(n_lines)]
     written = _written(rng, lines)[: height - 8, : width - 8]
     rows, columns = (n - m - 4 for n, m in zip(canvas.shape, written.shape, strict=True))
-    top = int(rng.choice([4, rows, rng.integers(4, rows + 1)], p=[0.35, 0.35, 0.3]))
+    at_edge = 0.0 if anywhere else 0.35
+    places = [4, rows, rng.integers(4, rows + 1)]
+    top = int(rng.choice(places, p=[at_edge, at_edge, 1 - 2 * at_edge]))
     left = int(rng.integers(4, columns + 1))
     place = canvas[top : top + written.shape[0], left : left + written.shape[1]]
     dark = bool(rng.random() < 0.5)
@@ -96,6 +101,7 @@ def _caption(rng: np.random.Generator) -> str:
                 f"{rng.choice(['Frame', 'Cam', 'Exp', 'Sample', 'Oil', 'Co'])} {digits[:3]}",
                 f"20{digits[:2]}-{digits[2:4]}-{digits[4:6]}",
                 letters[: rng.integers(2, 9)],
+                digits[: rng.integers(1, 7)],
                 f"({rng.choice(list('abcdefgo'))}) {letters[:5]} = {digits[0]}.{digits[1:3]}",
             ]
         )

@@ -174,7 +174,7 @@ def test_captions_may_run_across_the_image() -> None:
     widths = []
     for seed in range(60):
         canvas = np.full(SHAPE, 128, np.float32)
-        add_text(np.random.default_rng([4, seed]), canvas)
+        add_text(np.random.default_rng([4, seed]), canvas, anywhere=False)
         columns = np.flatnonzero((canvas != 128).any(axis=0))
         widths.append(np.ptp(columns))
     assert min(widths) < WIDTH / 4

@@ -328,5 +328,5 @@ def run(folder: Path, weights: Path | None, sets: Iterable[str]) -> None:
     for name in SEQUENCES:
         if (folder / name).is_dir():
             counts = score_sequence(folder / name, weights)
-            text = ", ".join(f"{key.removeprefix('n_')} {value:g}" for key, value in counts.items())
+            text = ", ".join(f"{key.removeprefix('n_')} {value}" for key, value in counts.items())
             console.print(f"{name}, tracked: {text}")

@@ -12,7 +12,7 @@ from droptrack.data.trajectories import Trajectories, read_trajectories
 SEQUENCES = ("plug_sequence",)  # folders of numbered images, with NAME_truth.csv beside them
 
 
-def score_sequence(folder: Path, weights: Path | None) -> dict[str, float]:
+def score_sequence(folder: Path, weights: Path | None) -> dict[str, str]:
     """How the droplets of a folder of images are tracked, with the scale that the images suggest.
 
     Only whole droplets have labels, and only frames that exist count: `_counted`.
@@ -25,8 +25,7 @@ def score_sequence(folder: Path, weights: Path | None) -> dict[str, float]:
         found, settings = run.trajectories, run.report.settings
     report = droptrack.evaluate(truth, _counted(found, truth, folder))
     kept = ("n_positions", "n_missed", "n_false", "n_switches")
-    scores = {key: float(str(report.summary[key])) for key in kept}
-    return {"scale": float(str(settings["scale"])), **scores}
+    return {"scale": str(settings["scale"]), **{key: str(report.summary[key]) for key in kept}}
 
 
 def _counted(found: Trajectories, truth: Trajectories, folder: Path) -> Trajectories:

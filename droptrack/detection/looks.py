@@ -1,8 +1,8 @@
 """One network at several scales around one: the mean of its looks is better than each of them.
 
 What it has learned well it sees at each; what it takes for a droplet, as dust or a digit, mostly at
-one. The boxes of a droplet become one as in weighted boxes fusion (Solovyev, Wang and Gabruseva
-2021).
+one. Every second look is at the mirrored frame. The boxes of a droplet become one as in weighted
+boxes fusion (Solovyev, Wang and Gabruseva 2021).
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +13,7 @@ from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections, iou_of_pairs
 from droptrack.data.frames import Frame
 from droptrack.data.neighbours import pairs_within
+from droptrack.data.region import Region
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.detector import Detector, Engine
 from droptrack.detection.suppression import suppress_duplicates
@@ -37,11 +38,13 @@ class SeveralLooks:
     """Finds droplets with several detectors, each at a scale of its own, the chosen one first.
 
     `threshold`: minimum of a droplet's score, which is the mean over all looks; the detectors
-    should have MIN_SCORE or less.
+    should have MIN_SCORE or less. `region`: where droplets count; the detectors should have none.
     """
 
-    def __init__(self, looks: Sequence[Detector], threshold: float) -> None:
-        self._looks, self._threshold = looks, threshold
+    def __init__(
+        self, looks: Sequence[Detector], threshold: float, region: Region | None = None
+    ) -> None:
+        self._looks, self._threshold, self._region = looks, threshold, region
         self.max_iou = looks[0].max_iou
 
     @property
@@ -55,17 +58,32 @@ class SeveralLooks:
 
     def start(self, frames: Sequence[Frame], times: StageTimes) -> Callable[[], list[Detections]]:
         """As `Detector.start`: all looks compute meanwhile."""
-        waits = [look.start(frames, times) for look in self._looks]
+        width = frames[0].shape[1]
+        mirrored = [np.ascontiguousarray(frame[:, ::-1]) for frame in frames]
+        waits = [
+            look.start(mirrored if k % 2 else frames, times) for k, look in enumerate(self._looks)
+        ]
 
         def finish() -> list[Detections]:
             by_look = [wait() for wait in waits]
+            by_look[1::2] = [[_mirrored(one, width) for one in look] for look in by_look[1::2]]
             return [self._together(of_frame) for of_frame in zip(*by_look, strict=True)]
 
         return finish
 
     def _together(self, found: Sequence[Detections]) -> Detections:
         fused, _ = fuse(found)
-        return suppress_duplicates(fused[fused.scores >= self._threshold], self.max_iou)
+        counts = fused.scores >= self._threshold
+        if self._region is not None:
+            counts &= self._region.contains(fused.boxes[:, :2])
+        return suppress_duplicates(fused[counts], self.max_iou)
+
+
+def _mirrored(found: Detections, width: int) -> Detections:
+    """What is found in a mirrored frame, where it is in the frame of a width, px."""
+    boxes = found.boxes.copy()
+    boxes[:, 0] = width - boxes[:, 0]
+    return Detections(boxes, found.scores, found.class_ids)
 
 
 def fuse(looks: Sequence[Detections]) -> tuple[Detections, Floats]:

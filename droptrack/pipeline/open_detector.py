@@ -119,7 +119,7 @@ def open_detector(
             max_iou=config.max_iou,
             normalisation=normalisation,
             canvas=canvas,
-            region=region,
+            region=region if n_looks == 1 else None,
         )
         return choose_detector(
             network, config.backend, config.precision, live=live, say=say, engines=engines
@@ -128,8 +128,8 @@ def open_detector(
     levels: list[tuple[Sizes | None, Detector | SeveralLooks]] = []
     for sizes, canvas in plan.canvases:
         detectors = [detector_on(one) for one in _looks_around(canvas, n_looks)]
-        one_look = n_looks == 1
-        levels.append((sizes, detectors[0] if one_look else SeveralLooks(detectors, config.score)))
+        several = SeveralLooks(detectors, config.score, region)
+        levels.append((sizes, detectors[0] if n_looks == 1 else several))
     first = plan.canvases[0][1]
     scales = [canvas.scale for _, canvas in plan.canvases]
     return OpenedDetector(

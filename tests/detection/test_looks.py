@@ -16,6 +16,7 @@ from droptrack.__main__ import app
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections, iou_matrix
 from droptrack.data.frames import Frame
+from droptrack.data.region import Region
 from droptrack.data.stage_times import StageTimes
 from droptrack.detection.looks import SeveralLooks, fuse, look_factors
 
@@ -34,8 +35,10 @@ class Sees:
 
     def __init__(self, detections: Detections) -> None:
         self._found = detections
+        self.shown: list[Frame] = []
 
     def start(self, frames: Sequence[Frame], _: StageTimes) -> Callable[[], list[Detections]]:
+        self.shown += frames
         return lambda: [self._found] * len(frames)
 
 
@@ -101,24 +104,34 @@ def test_looks_are_around_the_scale_chosen(n: int, factors: list[float]) -> None
 
 
 def test_the_mean_has_to_reach_the_score_wanted() -> None:
-    """0.9 in one of two looks is 0.45, in the other; 0.6 in both is 0.6."""
-    one = found([[50, 50, 20, 20]], 0.9)
-    both = found([[90, 50, 20, 20]], 0.6)
+    """0.9 in one of two looks is 0.45; 0.6 in both is 0.6. The second is mirrored: 150 - 90."""
+    one, both = found([[50, 50, 20, 20]], 0.9), found([[90, 50, 20, 20]], 0.6)
     together = Detections(
         np.concatenate([one.boxes, both.boxes]), np.array([0.9, 0.6]), np.zeros(2, int)
     )
-    looks: Any = [Sees(together), Sees(both)]
-    (seen,) = SeveralLooks(looks, 0.5).detect([np.zeros((100, 150, 3), np.uint8)])
+    looks: Any = [Sees(together), Sees(found([[60, 50, 20, 20]], 0.6))]
+    frame = np.random.default_rng(1).integers(0, 256, (100, 150, 3)).astype(np.uint8)
+    (seen,) = SeveralLooks(looks, 0.5).detect([frame])
     assert seen.boxes[:, 0].tolist() == [90]
-    (seen,) = SeveralLooks(looks, 0.4).detect([np.zeros((100, 150, 3), np.uint8)])
+    (seen,) = SeveralLooks(looks, 0.4).detect([frame])
     assert sorted(seen.scores.tolist()) == pytest.approx([0.45, 0.6])
+    np.testing.assert_array_equal(looks[0].shown[0], frame)
+    np.testing.assert_array_equal(looks[1].shown[0], cv2.flip(frame, 1))
 
 
-def rings(path: Path) -> None:
+def test_the_region_is_that_of_the_frame_and_not_of_the_mirrored_one() -> None:
+    looks: Any = [Sees(found([[30, 50, 20, 20], [120, 50, 20, 20]], 0.9))]
+    looks.append(Sees(found([[30, 50, 20, 20], [120, 50, 20, 20]], 0.9)))
+    left = Region.read("0,0 75,0 75,100 0,100", 150, 100)
+    (seen,) = SeveralLooks(looks, 0.4, left).detect([np.zeros((100, 150, 3), np.uint8)])
+    assert seen.boxes[:, 0].tolist() == [30]
+
+
+def rings(path: Path, *, mirrored: bool = False) -> None:
     image = np.full((360, 480), 150, np.uint8)
     for k, (x, y) in enumerate([(70, 80), (200, 90), (350, 110), (110, 250), (300, 270)]):
         cv2.circle(image, (x, y), 18 + 2 * k, 60, 3, cv2.LINE_AA)
-    cv2.imwrite(str(path), image)
+    cv2.imwrite(str(path), cv2.flip(image, 1) if mirrored else image)
 
 
 def detect(source: Path, out: Path, *options: str) -> tuple[Floats, dict[str, Any]]:
@@ -135,26 +148,26 @@ def detect(source: Path, out: Path, *options: str) -> tuple[Floats, dict[str, An
 
 
 def test_an_image_is_seen_at_three_scales_and_their_mean_counts(tmp_path: Path) -> None:
-    """Against three runs of one look each, matched by distance; scores of eight bits' noise."""
+    """Against three runs of one look each, that at 0.8 of the mirrored image; by distance."""
     rings(tmp_path / "rings.png")
-    footage = ("--weights", "footage", "--precision", "fp32", "--score", "0.2")
-
-    def look(name: str, *options: str) -> tuple[Floats, dict[str, Any]]:
-        return detect(tmp_path / "rings.png", tmp_path / name, *footage, *options)
-
-    together, settings = look("all", "--scale", "1")
+    rings(tmp_path / "mirrored.png", mirrored=True)
+    footage = ("--weights", "footage", "--precision", "fp32")
+    together, settings = detect(
+        tmp_path / "rings.png", tmp_path / "all", *footage, "--scale", "1", "--score", "0.2"
+    )
     assert settings["looks"] == 3
-    single = [
-        look(s, "--scale", s, "--looks", "1", "--score", "0.05")[0] for s in ("1", "0.8", "1.25")
-    ]
-    expected = np.zeros((len(together), 2))
-    for one in single:
+    assert len(together) == 5
+    expected = np.zeros((5, 2))
+    for scale, image in (("1", "rings.png"), ("0.8", "mirrored.png"), ("1.25", "rings.png")):
+        options = (*footage, "--scale", scale, "--looks", "1", "--score", "0.05")
+        one = detect(tmp_path / image, tmp_path / scale, *options)[0]
+        if image == "mirrored.png":
+            one[:, 0] = 480 - one[:, 0]
         distances = np.hypot(*(together[:, None, :2] - one[None, :, :2]).T).T
         rows, columns = linear_sum_assignment(distances)
         near = distances[rows, columns] < 10
         scores = one[columns[near], 4]
         expected[rows[near]] += np.column_stack([scores / 3, scores * one[columns[near], 2]])
-    assert len(together) == 5
     np.testing.assert_allclose(together[:, 4], expected[:, 0], atol=1e-4)
     np.testing.assert_allclose(together[:, 2], expected[:, 1] / expected[:, 0] / 3, atol=0.01)
 

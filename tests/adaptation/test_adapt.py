@@ -76,7 +76,8 @@ def test_a_video_gives_weights_that_can_track_it(adapted: tuple[Path, str], vide
     cfg = read_cfg(out / "adapted.cfg")
     assert (cfg.width, cfg.height) == (320, 160)
     weights = read_weights(out / "adapted.weights", cfg)
-    assert (weights.values != read_weights(MODELS[FOOTAGE], find_network()[0]).values).any()
+    before = read_weights(MODELS[FOOTAGE], find_network(Path(FOOTAGE))[0])
+    assert (weights.values != before.values).any()
     assert "long and steady tracks in 16 frames; 4 frames are kept back" in " ".join(said.split())
     tracked = CliRunner().invoke(
         app,
@@ -142,7 +143,7 @@ def test_an_interrupted_adaptation_resumes_to_the_same_weights(
     cfg = read_cfg(tmp_path / "out/adapted.cfg")
     resumed = read_weights(tmp_path / "out/adapted.weights", cfg).values
     whole = read_weights(adapted[0] / "adapted.weights", cfg).values
-    learned = np.abs(whole - read_weights(MODELS[FOOTAGE], find_network()[0]).values)
+    learned = np.abs(whole - read_weights(MODELS[FOOTAGE], find_network(Path(FOOTAGE))[0]).values)
     assert np.abs(resumed - whole).max() < 0.01 * learned.max()
 
 

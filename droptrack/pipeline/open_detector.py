@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from droptrack.compiled import explained
@@ -109,31 +110,18 @@ def open_detector(
         droplets.load_loops()
     region = None if config.region is None else Region.read(config.region, width, height)
     n_looks = config.looks or (looks if _is_scaled(config, plan) else 1)
-    score = config.score if n_looks == 1 else min(config.score, MIN_SCORE)
-
-    def detector_on(canvas: Canvas) -> Detector:
-        network = Network(
-            resized(plan.cfg, *canvas.network),
-            plan.weights,
-            threshold=score,
-            max_iou=config.max_iou,
-            normalisation=normalisation,
-            canvas=canvas,
-            region=region if n_looks == 1 else None,
-        )
-        return choose_detector(
-            network, config.backend, config.precision, live=live, say=say, engines=engines
-        )
-
-    levels: list[tuple[Sizes | None, Detector | SeveralLooks]] = []
-    for sizes, canvas in plan.canvases:
-        detectors = [detector_on(one) for one in _looks_around(canvas, n_looks)]
-        several = SeveralLooks(detectors, config.score, region)
-        levels.append((sizes, detectors[0] if n_looks == 1 else several))
+    choose = partial(
+        choose_detector,
+        backend=config.backend,
+        precision=config.precision,
+        live=live,
+        say=say,
+        engines=engines,
+    )
     first = plan.canvases[0][1]
     scales = [canvas.scale for _, canvas in plan.canvases]
     return OpenedDetector(
-        detector=_together(levels),
+        detector=_finder(plan, config, n_looks, normalisation, region, choose),
         cfg=resized(plan.cfg, *first.network),
         weights=plan.weights,
         scale=first.scale,
@@ -186,8 +174,33 @@ def _looks_around(canvas: Canvas, n: int) -> list[Canvas]:
     return [canvas, *(one for one in others if max(one.network) <= MAX_SIDE_PX)]
 
 
-def _together(levels: Sequence[tuple[Sizes | None, Detector | SeveralLooks]]) -> Finder:
-    """One detector of all levels; a plain one where sizes do not matter."""
+def _finder(
+    plan: _Plan,
+    config: DetectorConfig,
+    n_looks: int,
+    normalisation: Normalisation,
+    region: Region | None,
+    choose: Callable[[Network], Detector],
+) -> Finder:
+    """What finds the droplets of all sizes, with `n_looks` at each frame."""
+
+    def look(canvas: Canvas) -> Detector:
+        network = Network(
+            resized(plan.cfg, *canvas.network),
+            plan.weights,
+            threshold=config.score if n_looks == 1 else min(config.score, MIN_SCORE),
+            max_iou=config.max_iou,
+            normalisation=normalisation,
+            canvas=canvas,
+            region=region if n_looks == 1 else None,
+        )
+        return choose(network)
+
+    levels: list[tuple[Sizes | None, Detector | SeveralLooks]] = []
+    for sizes, canvas in plan.canvases:
+        looks = [look(one) for one in _looks_around(canvas, n_looks)]
+        several = SeveralLooks(looks, config.score, region)
+        levels.append((sizes, looks[0] if n_looks == 1 else several))
     sized = [(sizes, detector) for sizes, detector in levels if sizes is not None]
     return Pyramid(sized) if sized else levels[0][1]
 

@@ -19,7 +19,7 @@ from droptrack.data.detections import (
 )
 from droptrack.data.samples import N_SAMPLES, spread
 from droptrack.detection.detector import Finder
-from droptrack.detection.looks import MIN_SCORE, fuse, look_factors
+from droptrack.detection.looks import MIN_SCORE, fuse, look_factors, mirrored_back
 from droptrack.detection.suppression import suppress_duplicates
 from droptrack.pipeline.config import DetectorConfig
 from droptrack.pipeline.notes import Say
@@ -89,9 +89,7 @@ def seen_in_all(looks: Looks, shot: Shot) -> tuple[Detections, Floats]:
         for frame, turned in ((shot.frame, False), (mirrored, True)):
             (found,) = detector.detect([frame])
             if turned:
-                boxes = found.boxes.copy()
-                boxes[:, 0] = width - boxes[:, 0]
-                found = Detections(boxes, found.scores, found.class_ids)
+                found = mirrored_back(found, width)
             parts.append(within(found, shot.size))
     fused, shares = fuse(parts)
     keep = suppress_duplicates(fused, looks.max_iou, greedy=True)

@@ -66,7 +66,7 @@ class SeveralLooks:
 
         def finish() -> list[Detections]:
             by_look = [wait() for wait in waits]
-            by_look[1::2] = [[_mirrored(one, width) for one in look] for look in by_look[1::2]]
+            by_look[1::2] = [[mirrored_back(one, width) for one in look] for look in by_look[1::2]]
             return [self._together(of_frame) for of_frame in zip(*by_look, strict=True)]
 
         return finish
@@ -79,7 +79,7 @@ class SeveralLooks:
         return suppress_duplicates(fused[counts], self.max_iou)
 
 
-def _mirrored(found: Detections, width: int) -> Detections:
+def mirrored_back(found: Detections, width: int) -> Detections:
     """What is found in a mirrored frame, where it is in the frame of a width, px."""
     boxes = found.boxes.copy()
     boxes[:, 0] = width - boxes[:, 0]

@@ -43,10 +43,14 @@ def narrow(
     first `images` training images, as they are and degraded, half of them larger and smaller.
     `filters`: how many each layer has, by its number; without, as few as an `error` allows
     (`choose_pruning`). Returns the weights' path, and what is kept. Raises DroptrackError for
-    layers that cannot be pruned, and where there are files of these names.
+    layers that cannot be pruned, where there are files of these names, and where OpenVINO is not
+    installed.
     """
-    from droptrack.network.onnx_layers import folded_convolutions
-
+    try:
+        import droptrack.detection.engines.openvino  # noqa: F401, of an extra
+        from droptrack.network.onnx_layers import folded_convolutions
+    except ImportError:
+        raise DroptrackError("narrowing needs: pip install 'droptrack[openvino]'") from None
     if filters is not None:
         _check(cfg, filters)
     written = out / f"{weights.stem}.weights"

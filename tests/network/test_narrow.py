@@ -1,5 +1,6 @@
 """A narrower network is one that others read, and sees what the wide one sees."""
 
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -97,3 +98,12 @@ def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:
     assert code == 1
     assert "is there already" in output
     assert (tmp_path / "yolov3-tiny-droplets.cfg").read_text() == "mine"
+
+
+def test_without_openvino_it_says_what_to_install(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "droptrack.detection.engines.openvino", None)
+    code, output = narrow(data, tmp_path / "out")
+    assert code == 1
+    assert "narrowing needs: pip install 'droptrack[openvino]'" in " ".join(output.split())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from droptrack.data.sources.frame_times import FrameTimes
-from droptrack.data.sources.mp4_edits import shown_share
+from droptrack.data.sources.mp4_tracks import Tracks, read_tracks
 from droptrack.data.sources.video_files import N_SAME, _stays_though_it_changes
 from droptrack.data.video import Video, VideoInfo, VideoWriter
 from droptrack.errors import DroptrackError
@@ -37,8 +37,48 @@ def test_what_an_edit_list_leaves_out_is_not_missed() -> None:
     video = Video(str(VIDEOS / "cut.mp4"))
     assert (video.info.n_frames, video.counted) == (8, False)
     assert same(levels_of(video), LEVELS[4:])
-    assert shown_share(VIDEOS / "steady.mp4") == 1
-    assert shown_share(VIDEOS / "make.sh") == 1
+    assert read_tracks(VIDEOS / "cut.mp4").shown_share == pytest.approx(8 / 12)
+    assert read_tracks(VIDEOS / "steady.mp4") == read_tracks(VIDEOS / "make.sh") == Tracks()
+
+
+@pytest.mark.parametrize("matrix", [(-1, 0, 1), (1, 0, -1), (0, 1, 0), (0, -1, 0)])
+def test_what_is_to_be_mirrored_is_refused_and_what_is_to_be_turned_is_not(
+    tmp_path: Path, matrix: tuple[int, int, int]
+) -> None:
+    """The matrix a b u c d, of which c is b for a mirror along a diagonal, -b for a turn."""
+    a, b, d = matrix
+    data = (VIDEOS / "steady.mp4").read_bytes()
+    place = data.index(b"tkhd") + 4 + 40
+    for c in {b, -b}:
+        path = tmp_path / f"{c}.mp4"
+        entries = b"".join((one << 16).to_bytes(4, "big", signed=True) for one in (a, b, 0, c, d))
+        path.write_bytes(data[:place] + entries + data[place + 20 :])
+        if a == d == 0 and c == -b:
+            assert len(list(Video(str(path)))) == 12
+        else:
+            with pytest.raises(DroptrackError, match="to be shown as in a mirror"):
+                Video(str(path))
+
+
+def with_another_track(data: bytes, n_samples: int | None = None) -> bytes:
+    """The bytes of an .mp4 whose last box, moov, has its track twice, the second with so many."""
+    moov, trak = (data.index(kind) - 4 for kind in (b"moov", b"trak"))
+    size = int.from_bytes(data[trak : trak + 4], "big")
+    track = data[trak : trak + size]
+    if n_samples is not None:
+        place = track.index(b"stsz") + 12
+        track = track[:place] + n_samples.to_bytes(4, "big") + track[place + 4 :]
+    whole = (len(data) - moov + size).to_bytes(4, "big")
+    return data[:moov] + whole + data[moov + 4 : trak + size] + track + data[trak + size :]
+
+
+def test_several_tracks_of_video_are_said_but_not_a_title_picture(tmp_path: Path) -> None:
+    data = (VIDEOS / "steady.mp4").read_bytes()
+    (tmp_path / "two.mp4").write_bytes(with_another_track(data))
+    (tmp_path / "title.mp4").write_bytes(with_another_track(data, n_samples=1))
+    assert [note for note in Video(str(tmp_path / "two.mp4")).notes if "2 tracks of video" in note]
+    assert not Video(str(tmp_path / "title.mp4")).notes
+    assert not Video(str(VIDEOS / "steady.mp4")).notes
 
 
 @pytest.mark.parametrize("name", ["uneven.mp4", "uneven.mkv"])

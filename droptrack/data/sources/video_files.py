@@ -22,7 +22,7 @@ from droptrack.data.sources.beginnings import (
 )
 from droptrack.data.sources.frame_times import ROUNDED_MS, FrameTimes
 from droptrack.data.sources.jpeg_images import decode_jpeg
-from droptrack.data.sources.mp4_edits import shown_share
+from droptrack.data.sources.mp4_tracks import Tracks, read_tracks
 from droptrack.data.sources.opencv_names import opencv_name, without_log
 from droptrack.data.sources.source import Image, ReadOptions, Source, refuse_channel
 from droptrack.errors import DroptrackError
@@ -50,6 +50,14 @@ INTERLACED = (
     "{path}: its frames are interlaced, which OpenCV cannot convert, and each shows two times; "
     "make them whole: {cure}"
 )
+MIRRORED = (
+    "{path}: is to be shown as in a mirror, which OpenCV does not; to mirror it: "
+    "ffmpeg -i IN -q:v 1 OUT.avi"
+)
+SEVERAL = (
+    "has {n} tracks of video, of which the first is read, or what FFmpeg takes for the main one; "
+    "to read the second: ffmpeg -i IN -map 0:v:1 -c copy OUT.mp4"
+)
 N_LOOKED_AT = 20  # frames for one that is whole, before a codec is taken for another
 MIN_ALIKE = 0.5  # correlation of a frame's luma with what the codec gave, if it was converted
 # codecs, in lower case, that may be interlaced
@@ -69,6 +77,9 @@ def open_video(path: Path, options: ReadOptions) -> Source:
     refuse_channel(str(path), options)
     if path.is_file() and not path.stat().st_size:
         raise DroptrackError(f"{path}: is empty: it has no bytes")
+    tracks = read_tracks(path) if begins_with(path, MPEG_4) else Tracks()
+    if tracks.is_mirrored:
+        raise DroptrackError(MIRRORED.format(path=path))
     with opencv_name(path) as name:
         capture = open_capture(name, str(path))
         fps = float(capture.get(cv2.CAP_PROP_FPS))
@@ -96,7 +107,8 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         if avi is not None:
             n_frames = len(avi.places) if avi.whole else max(n_frames, len(avi.places))
             doubt = avi.doubt
-    share = shown_share(path) if begins_with(path, MPEG_4) else 1.0
+    several = SEVERAL.format(n=tracks.n) if tracks.n > 1 else ""
+    share = tracks.shown_share
     cut = (1 - share) * n_frames > 0.5  # by an edit list; where, FFmpeg knows
     return Source(
         images=images or _converted(path, read_capture(capture, n_frames, times), times),
@@ -104,7 +116,7 @@ def open_video(path: Path, options: ReadOptions) -> Source:
         counted=begins_with(path, COUNTING) and not cut,
         fps=times.rate if note else fps,
         times=times,
-        notes=tuple(f"{path}: {one}" for one in (note, shape) if one),
+        notes=tuple(f"{path}: {one}" for one in (note, shape, several) if one),
         doubt=doubt or doubt_of_beginning(path),
     )
 

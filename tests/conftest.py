@@ -14,7 +14,7 @@ from data_gen.simulate import app as simulate
 from droptrack.data.trajectories import sorted_trajectories, write_trajectories
 from droptrack.data.video import VideoInfo, VideoWriter
 from droptrack.detection import decoding
-from droptrack.measurement import centre_of_mass, outlines, rays, rings
+from droptrack.measurement import centre_of_mass, closed_paths, outlines, rays, rings
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def arrays(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextManag
     @contextmanager
     def without_loops() -> Iterator[None]:
         with monkeypatch.context() as patch:
-            for module in (centre_of_mass, outlines, rays, rings, decoding):
+            for module in (centre_of_mass, closed_paths, outlines, rays, rings, decoding):
                 patch.setattr(module, "load_loops", lambda: None)
             yield
 
@@ -42,6 +42,7 @@ def implementation(
     else:
         pytest.importorskip("numba")
         assert centre_of_mass.load_loops() is not None
+        assert closed_paths.load_loops() is not None
         assert outlines.load_loops() is not None
         assert rays.load_loops() is not None
         assert rings.load_loops() is not None

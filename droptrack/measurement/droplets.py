@@ -1,30 +1,23 @@
 """Frame and boxes -> all that is measured of the droplets: centre of mass, outline, size, shape."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.frames import Frame
 from droptrack.data.region import Region
-from droptrack.measurement import centre_of_mass, outlines, rays, rings
-from droptrack.measurement.centre_of_mass import centres_and_levels, grey_of, nearest_boxes
-from droptrack.measurement.outlines import Outlines, trace_outlines
+from droptrack.measurement import centre_of_mass, closed_paths, outlines, rays, rings
+from droptrack.measurement.centre_of_mass import centres_and_levels, grey_of
+from droptrack.measurement.droplet_outlines import EDGE_PX, find_outlines
 from droptrack.measurement.rays import DIRECTIONS, N_RAYS
 from droptrack.measurement.shapes import (
     AT_EDGE,
     COLUMNS,
     OUTLINE_SEEN,
     measure_shapes,
-    smooth_outlines,
     whole_circles,
-    without_outliers,
 )
-
-MAX_RATIO = 1.3  # of the sizes of an outline's box and the detector's, either way
-MAX_RATIO_BENT = 1.15  # of their sides, where an outline is not smooth
-MAX_APART = 0.25  # of their centres, in sides of the box
-EDGE_PX = 1.0  # a box that ends nearer to the image's edge is cut by it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +42,7 @@ class Measured:
 def load_loops() -> None:
     """Load the compiled loops beforehand."""
     centre_of_mass.load_loops()
+    closed_paths.load_loops()
     outlines.load_loops()
     rays.load_loops()
     rings.load_loops()
@@ -83,24 +77,18 @@ def measure_droplets(
             outlines=nothing,
             rings=np.zeros(len(boxes), bool),
         )
-    traced = trace_outlines(grey, boxes, centres, levels, nearest_boxes(boxes), region)
-    traced = _its_own(traced, boxes, region)
-    radii, whole, good, bent = smooth_outlines(traced.radii)
-    traced = replace(traced, radii=radii)
+    found = find_outlines(grey, boxes, centres, levels, region)
+    traced = found.traced
     shapes = np.full((len(boxes), len(COLUMNS)), np.nan)
-    quantities, middles, outline_boxes, edges = measure_shapes(centres, whole)
-    shapes[:, :OUTLINE_SEEN] = quantities
-    another = good & ~_alike(outline_boxes, boxes, bent)  # as the shell round a core
-    shapes[another, :OUTLINE_SEEN] = np.nan
-    good &= ~another
-    seen = np.isfinite(traced.radii)
-    shapes[:, OUTLINE_SEEN] = seen.mean(axis=1)
+    quantities, middles, edges = measure_shapes(centres, found.whole)
+    shapes[found.fits, :OUTLINE_SEEN] = quantities[found.fits]
+    shapes[:, OUTLINE_SEEN] = found.seen.mean(axis=1)
     ends_at_edge = at_edge(boxes, (grey.shape[1], grey.shape[0]), region)
     # rays that leave the image before they meet an edge tell; the box, where no edge is seen at all
-    cut = np.where(seen.any(axis=1), (traced.cut & ~seen).any(axis=1), ends_at_edge)
+    cut = np.where(found.seen.any(axis=1), found.cut, ends_at_edge)
     shapes[cut, :OUTLINE_SEEN] = np.nan
     shapes[:, AT_EDGE] = cut
-    good &= ~cut
+    good = found.fits & ~cut
     ringed = good & (traced.rings | ~measured)
     centres[ringed] = middles[ringed]
     measured |= ringed
@@ -113,41 +101,11 @@ def measure_droplets(
     return Measured(
         centres=centres,
         measured=measured,
-        boxes=np.where(good[:, None], outline_boxes, boxes),
+        boxes=np.where(good[:, None], found.boxes, boxes),
         shapes=shapes,
         outlines=np.where(good[:, None, None], edges, np.nan),
         rings=good & traced.rings,
     )
-
-
-def _alike(outlined: Floats, boxes: Floats, bent: Bools) -> Bools:
-    """Whether outlines' boxes (N, 4) are about as large as those given, and at their places.
-
-    Of those that are `bent` (N,), the width and the height must each be about the same.
-    """
-    ratios = outlined[:, 2:] / boxes[:, 2:]
-    size = np.sqrt(ratios.prod(axis=1))
-    alike = (size <= MAX_RATIO) & (size * MAX_RATIO >= 1)
-    sides = (ratios <= MAX_RATIO_BENT) & (ratios * MAX_RATIO_BENT >= 1)
-    near = np.abs(outlined[:, :2] - boxes[:, :2]) <= MAX_APART * boxes[:, 2:]
-    return np.asarray(alike & (sides.all(axis=1) | ~bent) & near.all(axis=1))
-
-
-def _its_own(traced: Outlines, boxes: Floats, region: Region | None) -> Outlines:
-    """Outlines without edges that stick out, and without those at and beyond a region's border."""
-    radii, cut = without_outliers(traced.radii), traced.cut
-    if region is not None:
-        beyond = _beyond(traced, boxes, region)
-        radii, cut = np.where(beyond, np.nan, radii), cut | beyond
-    return replace(traced, radii=radii, cut=cut)
-
-
-def _beyond(traced: Outlines, boxes: Floats, region: Region) -> Bools:
-    """Which rays (N, K) leave a region before they meet an edge: where there is none, the box's."""
-    share = np.abs(DIRECTIONS[None] / (boxes[:, None, 2:] / 2)).max(axis=2)
-    reach = np.where(np.isfinite(traced.radii), traced.radii, 1 / share) + EDGE_PX
-    ends = traced.origins[:, None] + reach[..., None] * DIRECTIONS
-    return ~region.contains(ends.reshape(-1, 2)).reshape(reach.shape)
 
 
 def at_edge(boxes: Floats, size: tuple[int, int], region: Region | None = None) -> Bools:

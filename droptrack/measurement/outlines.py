@@ -18,6 +18,7 @@ import numpy as np
 from droptrack.compiled import compiled_twin
 from droptrack.data.arrays import Bools, Floats, Pixels, Rows
 from droptrack.data.region import Region
+from droptrack.measurement.closed_paths import closed_paths
 from droptrack.measurement.rays import (
     DIRECTIONS,
     FREE,
@@ -37,6 +38,8 @@ FIRST_PEAK = 0.8  # and from which on it is the ring, though what is behind it m
 # of the height of what is filled: as low as that its surroundings are
 MIN_FALL = 0.5  # of a ring's height by which a gap behind it must be below it, to be one
 LOOK_PX = 2  # how much further a gap before a neighbour is looked for, and how much less the ring
+BEHIND, BEHIND_PX = 0.06, 2.0  # of a closed path's radius, and further: no edge is looked for there
+BEFORE = 0.75  # of its radius: an edge is looked for from there on
 MIN_WIDTHS = 0.125  # share of rays that must show both flanks of a ring, for its width
 # a ring thinner than two pixels is not as high in the image as it is: its width at half of its own
 # height, px, and by how much its outside flank there lies outside, px; measured of drawn rings with
@@ -50,6 +53,38 @@ THIN = np.array(
 SETTINGS = MIN_DEPTH, MIN_RISE, MIN_PEAK, FIRST_PEAK, MIN_FALL, float(LOOK_PX), MIN_WIDTHS
 SAMPLES_AT_ONCE = 2_000_000
 UNSEEN, SEEN, CUT = 0, 1, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """Where, and for what, the edges of N droplets are looked for.
+
+    ends (N, N_RAYS, 3), limits (N, N_RAYS, 2): see `rays.find_ends`; rings (N,), scales (N, 2): see
+    `rings.find_rings`.
+    """
+
+    ends: Rows
+    limits: Rows
+    rings: Bools
+    scales: Floats
+
+    @staticmethod
+    def nothing(n: int) -> "Search":
+        """That of droplets of which no edge is looked for."""
+        return Search(
+            ends=np.zeros((n, N_RAYS, 3), np.int64),
+            limits=np.zeros((n, N_RAYS, 2), np.int64),
+            rings=np.zeros(n, np.bool_),
+            scales=np.zeros((n, 2)),
+        )
+
+    def __getitem__(self, rows: Rows) -> "Search":
+        return Search(
+            ends=self.ends[rows],
+            limits=self.limits[rows],
+            rings=self.rings[rows],
+            scales=self.scales[rows],
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,27 +119,55 @@ def load_loops() -> ModuleType | None:
     return compiled_twin(__name__)
 
 
-def trace_outlines(
+def look_for_edges(
     grey: Pixels,
     boxes: Floats,
     origins: Floats,
     levels: Rows,
     neighbours: Rows,
     region: Region | None = None,
-) -> Outlines:
-    """Outlines of the droplets in boxes (N, 4) of a grey image (H, W), from origins (N, 2) in them.
+) -> Search:
+    """Where, and for what, edges of droplets in boxes (N, 4) of a grey image (H, W) are looked for.
 
-    `levels` (N, 3) are as of `centre_of_mass.centres_and_levels`, `neighbours` (N, K) as of
-    `centre_of_mass.nearest_boxes`. Rays end at the border of a region.
+    From origins (N, 2) in them. `levels` (N, 3) are as of `centre_of_mass.centres_and_levels`,
+    `neighbours` (N, K) as of `centre_of_mass.nearest_boxes`. Rays end at the border of a region.
     """
-    n = len(boxes)
+    if not len(boxes) or min(grey.shape) < 2:
+        return Search.nothing(len(boxes))
+    ends, limits = find_ends((grey.shape[1], grey.shape[0]), boxes, origins, neighbours)
+    if region is not None:
+        end_at_region(ends, limits, origins, region)
+    rings, scales = find_rings(grey, boxes, origins, levels, ends, limits)
+    return Search(ends=ends, limits=limits, rings=rings, scales=scales)
+
+
+def look_nearer(
+    grey: Pixels, boxes: Floats, origins: Floats, levels: Rows, search: Search, rows: Rows
+) -> Search:
+    """The same, but of those in `rows` not far beyond the closed paths of the clearest edges."""
+    rows = rows[search.scales[rows, 1] != 0]
+    if not len(rows):
+        return search
+    reach = np.where(search.rings[rows, None], search.ends[rows, :, 2], search.ends[rows, :, 1])
+    signs = -np.sign(search.scales[rows, 1])
+    path = closed_paths(grey, origins[rows], signs, search.ends[rows, :, 0], reach)
+    ends, last = search.ends.copy(), np.ceil((1 + BEHIND) * path + BEHIND_PX).astype(np.int64)
+    ends[rows, :, 1:] = np.minimum(ends[rows, :, 1:], last[..., None])
+    ends[rows, :, 0] = np.minimum(ends[rows, :, 0], (BEFORE * path).astype(np.int64))
+    rings, scales = find_rings(grey, boxes, origins, levels, ends, search.limits)
+    return Search(ends=ends, limits=search.limits, rings=rings, scales=scales)
+
+
+def trace_outlines(grey: Pixels, origins: Floats, levels: Rows, search: Search) -> Outlines:
+    """Outlines of the droplets around origins (N, 2) in a grey image (H, W).
+
+    `levels` and `search` are those of `look_for_edges`.
+    """
+    n = len(origins)
     radii, states = np.full((n, N_RAYS), np.nan), np.zeros((n, N_RAYS), np.uint8)
     widths = np.full(n, np.nan)
-    if n and min(grey.shape) > 1:
-        ends, limits = find_ends((grey.shape[1], grey.shape[0]), boxes, origins, neighbours)
-        if region is not None:
-            end_at_region(ends, limits, origins, region)
-        rings, scales = find_rings(grey, boxes, origins, levels, ends, limits)
+    ends, limits, rings, scales = search.ends, search.limits, search.rings, search.scales
+    if scales[:, 1].any():
         if (loops := load_loops()) is not None:
             loops.trace(
                 *(grey, np.ascontiguousarray(origins), ends, limits, rings, scales),

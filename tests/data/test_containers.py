@@ -109,9 +109,14 @@ def test_a_rate_that_is_wrong_for_all_frames_is_said() -> None:
 
 @pytest.mark.parametrize("name", ["interlaced.mpg", "interlaced.mov", "interlaced.mp4"])
 def test_interlaced_frames_are_read_rightly_or_refused(name: str) -> None:
-    """The FFmpeg of OpenCV 4.14 gives black ones, or what was in the memory."""
+    """The FFmpeg of OpenCV 4.14 gives black ones, or what was in the memory.
+
+    Where that is black, too, as once in 150 times, it is a doubt.
+    """
     try:
-        assert same(levels_of(Video(str(VIDEOS / name))), LEVELS)
+        video = Video(str(VIDEOS / name))
+        found = levels_of(video)
+        assert same(found, LEVELS) or (not any(found.values()) and "are black" in video.doubt)
     except DroptrackError as error:
         assert "its frames are interlaced" in str(error)  # noqa: PT017
 
@@ -131,14 +136,15 @@ def test_pixels_that_are_not_square_are_said() -> None:
 
 @pytest.mark.parametrize("moving", [True, False])
 def test_what_was_in_the_memory_is_known_by_what_the_file_has(tmp_path: Path, moving: bool) -> None:
-    """Images that stay the same, while the file has many bytes of each that changes."""
+    """Images that stay the same, though the file has much of each, or, read again, another one."""
     path = tmp_path / "v.mp4"
     noise = np.random.default_rng(0).integers(0, 255, (6, 120, 160, 3), np.uint8)
     with VideoWriter(path, VideoInfo(160, 120, 25, 6), "mp4v") as video:
         for t in range(6):
             video.write(noise[t if moving else 0])
-    stale = [noise[0]] * N_SAME
-    assert _stays_though_it_changes(str(path), stale) is moving
+    first = next(iter(Video(str(path))))
+    assert _stays_though_it_changes(str(path), [first] * N_SAME) is moving
+    assert _stays_though_it_changes(str(path), [noise[5]] * N_SAME)
     assert not _stays_though_it_changes(str(path), list(noise[:N_SAME]))
     assert len(list(Video(str(path)))) == 6
 

@@ -28,12 +28,16 @@ class WallLine:
 
 @dataclass(frozen=True, kw_only=True)
 class Channel:
-    """A straight channel through a point, at an angle in radians, from `start` px along it on."""
+    """A straight channel through a point, at an angle in radians, from `start` px along it on.
+
+    It is `width` px wide there, and becomes wider by `widening` px a px along it.
+    """
 
     centre: Floats
     angle: float
     width: float
     start: float = -2.0 * WIDTH
+    widening: float = 0.0
 
     @property
     def along(self) -> Floats:
@@ -50,8 +54,10 @@ class Channel:
         whole = patch_around(SHAPE, np.array([WIDTH, HEIGHT]) / 2, WIDTH)
         x, y = whole.x - np.float32(self.centre[0]), whole.y - np.float32(self.centre[1])
         along, across = self.along.astype(np.float32), self.across.astype(np.float32)
-        sideways = np.abs(np.add.outer(across[1] * y, across[0] * x)) - np.float32(self.width / 2)
-        before = np.float32(self.start) - np.add.outer(along[1] * y, along[0] * x)
+        forwards = np.add.outer(along[1] * y, along[0] * x)
+        half = (np.float32(self.width) + np.float32(self.widening) * forwards) / 2
+        sideways = np.abs(np.add.outer(across[1] * y, across[0] * x)) - half
+        before = np.float32(self.start) - forwards
         return np.asarray(np.maximum(sideways, before), np.float32)
 
 
@@ -74,7 +80,7 @@ def plugs(
     for lane in range(n):
         shift = (lane - (n - 1) / 2) * width * rng.uniform(1.5, 2.5)
         lanes.append(Channel(centre=middle + main.across * shift, angle=angle, width=width))
-    sides, junction = _side_channels(rng, main)
+    sides, junction = side_channels(rng, main)
     walls = random_walls(rng)
     inside = rng.normal(0, 12) if rng.random() < 0.4 else 0.0
     channels = lanes + sides
@@ -87,7 +93,7 @@ def plugs(
     yield from trains
 
 
-def _side_channels(rng: np.random.Generator, main: Channel) -> tuple[list[Channel], float | None]:
+def side_channels(rng: np.random.Generator, main: Channel) -> tuple[list[Channel], float | None]:
     """Channels that cross or join one, and where along it, in px, if there are any."""
     if rng.random() < 0.5:
         return [], None

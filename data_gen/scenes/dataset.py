@@ -43,6 +43,7 @@ class SceneChoice(StrEnum):
     foam = "foam"
     confined = "confined"
     plugs = "plugs"
+    stream = "stream"
     suspension = "suspension"
     empty = "empty"
     tiny = "tiny"  # the paper's data for YOLOv3-tiny
@@ -53,13 +54,16 @@ class SceneChoice(StrEnum):
 
 
 FILE_KEYS = {"degraded": "spoilt"}  # names in dataset.json that are not a Recipe's
-FOOTAGE = ("plugs", "foam", "scattered", "foam", "plugs", "packing", "foam", "plugs", "scattered")
+FOOTAGE = (
+    *("plugs", "foam", "scattered", "foam", "plugs", "packing", "foam", "plugs", "scattered"),
+    *("packing", "confined", "suspension", "stream", "empty"),
+)
 MIXTURES = {
     "tiny": tuple("ab"),
     "full": tuple("c"),
     "all": tuple("abccdd"),
-    "footage": (*FOOTAGE, "packing", "confined", "suspension", "empty"),
-    "everything": (*FOOTAGE, "packing", "confined", "suspension", "empty", *"accddb"),
+    "footage": FOOTAGE,
+    "everything": (*FOOTAGE, *"accddb"),
 }
 DRAWINGS: dict[str, Callable[[np.random.Generator], Scene]] = {
     **SCENES,
@@ -77,7 +81,7 @@ class Recipe:
     seed: int
     degraded: float = 0.0  # share of the images
     jpeg_quality: int = JPEG_QUALITY
-    format: int = 5  # to be raised when the same seed gives other images
+    format: int = 6  # to be raised when the same seed gives other images
 
     def kinds(self) -> tuple[str, ...]:
         """The names of the scenes that take turns."""

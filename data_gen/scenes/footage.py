@@ -6,6 +6,7 @@ foam        droplets of many sizes pressed into polygons
 confined    a foam or a packing between the walls of a channel
 suspension  droplets of many sizes at many depths, over others and out of focus
 plugs       plugs in a channel with walls, junctions and surroundings
+stream      droplets in a channel wider than they are, in one file or two, or anywhere in it
 empty       all that surrounds droplets, without any
 
 What the droplets look like is drawn apart from where they lie (`appearance`); surroundings, optics
@@ -25,6 +26,7 @@ from data_gen.scenes.distances import box_of
 from data_gen.scenes.inclusions import paint_inside
 from data_gen.scenes.outlines import SHAPE, Outline, foam, packing, scattered, suspension
 from data_gen.scenes.scene_kinds import Scene
+from data_gen.scenes.streams import stream
 from data_gen.scenes.surroundings import (
     add_dirt,
     add_text,
@@ -154,5 +156,6 @@ ARRANGEMENTS: dict[str, Arrangement] = {
     "confined": confined,
     "suspension": suspension,
     "plugs": plugs,
+    "stream": stream,
     "empty": empty,
 }

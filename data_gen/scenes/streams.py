@@ -19,11 +19,11 @@ from droptrack.data.arrays import Float32s, Floats
 
 MAX_DROPLETS = 400
 MIN_RADIUS = 4.0  # px
-APART = 1.02  # of the sum of two radii, that centres are apart at least
+APART = 1.02  # of the typical diameter, that centres are apart at least, before walls move them
 
 
 def stream(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
-    """Droplets of about one size in a channel at least half as wide again, straight or tapering."""
+    """Droplets of about one size in a channel wider than they are, straight or tapering."""
     angle = float(rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)], p=[0.55, 0.15, 0.3]))
     channel = Channel(
         centre=rng.uniform(0.25, 0.75, 2) * [WIDTH, HEIGHT],
@@ -56,7 +56,7 @@ def stream(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
 
 
 def _places(rng: np.random.Generator, channel: Channel, radius: float) -> Floats:
-    """How far droplets (N, 2) are along a channel and across it, px, none over another."""
+    """How far droplets (N, 2) are along a channel and across it, px, few over another."""
     first, last = sorted(rng.uniform(-REACH, REACH, 2)) if rng.random() < 0.4 else (-REACH, REACH)
     room = max(channel.width / 2 - radius, 0.0)
     step = 2 * radius * (1 + log_uniform(rng, 0.02, 4.0))

@@ -18,6 +18,7 @@ from droptrack.detection.detector import Detector
 from droptrack.detection.pyramid import Sizes
 from droptrack.detection.scale import DIAMETER_PX
 from droptrack.detection.scale_evidence import (
+    DOUBT,
     MARGIN_PX,
     MAX_AREA_PX,
     SURE,
@@ -25,7 +26,6 @@ from droptrack.detection.scale_evidence import (
     look_for_droplets,
 )
 
-DOUBT = 0.35  # evidence below which a detection does harm
 SMALL = 0.4  # of most droplets' diameter, below which that evidence is
 SMALL_DOUBT = 0.65
 CLEAR = 0.6  # evidence that one droplet at least has to have: dust and digits have less
@@ -44,6 +44,7 @@ MIDDLE_PX = 64.0  # of the input, that half of the clear droplets have at most a
 ALONE_PX = 150.0  # of that input; where the large ones have no more, one scale is enough
 LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coarser scale
 TOO_LARGE_PX = 240.0  # of an input: the network has learned to be silent about it
+UNSURE_PX = 180.0  # of an input, from which on it is less and less sure
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 
@@ -102,7 +103,10 @@ def _one_scale(
     if max(quality.values()) < MIN_QUALITY:
         return suiting if _share(clear) >= 0.5 else None
     whole = [scale for scale in quality if all(one.looks[scale].is_whole for one in seen)]
-    scale = _finest_of_the_best(quality, whole)
+    sure = {k: value for k, value in quality.items() if k * large <= UNSURE_PX}
+    if max(sure.values(), default=0.0) < max(quality.values()) - TOLERANCE:
+        sure = quality
+    scale = _finest_of_the_best(sure, whole)
     as_good = quality[suiting] >= max(quality.values()) - FINER
     if large > SPREAD * small and suiting > scale and as_good:
         return suiting  # the largest droplets count most for the quality

@@ -24,7 +24,9 @@ from droptrack.detection.suppression import suppress_duplicates
 TILE = 480  # px, the sides of the input
 STEP = math.sqrt(2)  # from one scale to the next
 STEPS = range(-7, 6)  # tried, from the default scale on
-MIN_SIDE_PX = 96  # of an input
+MIN_SIDE_PX = 48  # of an input
+ALL_SIDE_PX = 96  # of an input; of smaller ones only droplets count that fill the frame, to
+FILLING = 0.6  # of its smaller side: other scales do not show these in a size that is known
 MAX_AREA_PX = 9e6  # of an input
 MARGIN_PX = 2.0  # of the input, between a whole droplet and a tile's edge
 MAX_TILES = 6  # looked at in a frame, at each scale
@@ -33,6 +35,7 @@ MIN_SEEN_PX = 6.0  # of the frame: what is smaller may be dust, or a block of JP
 MIN_SCORE = 0.1  # of a detection that counts at all
 SURE = 0.4  # of one that a user would get
 SAME_IOU = 0.5  # of two boxes of one droplet
+DOUBT = 0.35  # evidence below which a detection does harm
 CERTAIN = 0.5  # evidence of a droplet, so that what is in it is none
 MIN_INSIDE = 0.8  # share of a box's area
 MIN_SHOWN = 3  # scales that full evidence takes
@@ -99,7 +102,7 @@ def scales_for(width: int, height: int, default: float) -> list[float]:
     """The scales that are tried for frames of a size, the default one among them.
 
     >>> [round(scale, 2) for scale in scales_for(1200, 600, 0.8)]
-    [0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2]
+    [0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6, 2.26, 3.2]
     """
     scales = (default * STEP**k for k in STEPS)
     return [
@@ -128,9 +131,10 @@ def _look(frame: Frame, detector: Detector, default: float) -> dict[float, Look]
             np.zeros(sum(len(part) for part in parts), np.int64),  # whatever its class
         )
         seen = suppress_duplicates(together, detector.max_iou, greedy=True)  # tiles overlap
+        counted = _counts(seen.boxes / scale, scale, (width, height))
         looks[scale] = Look(
-            boxes=seen.boxes / scale,
-            scores=seen.scores,
+            boxes=seen.boxes[counted] / scale,
+            scores=seen.scores[counted],
             tiles=np.minimum(tiles / scale, [width, height, width, height]),
             is_whole=len(tiles) == math.prod(_n_tiles(size)),
         )
@@ -226,23 +230,44 @@ def _evidence(
             (sides * scale >= KNOWN_PX[0])
             & (sides * scale <= KNOWN_PX[1])
             & look.covers(boxes, size, MARGIN_PX / scale)
+            & _counts(boxes, scale, size)
             for scale, look in looks.items()
         ]
     )
     shown &= sides >= MIN_SEEN_PX
     mean = (scores * shown).sum(axis=0) / np.maximum(shown.sum(axis=0), MIN_SHOWN)
-    return np.asarray(np.where(_inside_others(boxes, mean), 0.0, mean))
+    return _without_what_is_inside(boxes, mean, size)
 
 
-def _inside_others(boxes: Floats, evidence: Floats) -> Bools:
-    """Which boxes (N,) lie in one at least twice as large that is a droplet: cells, reflections."""
+def _counts(boxes: Floats, scale: float, size: tuple[int, int]) -> Bools:
+    """Which boxes (N, 4) px of a frame of a size a scale speaks for: all, or what fills it."""
+    return _fills(boxes, size) | (scale * min(size) >= ALL_SIDE_PX)
+
+
+def _fills(boxes: Floats, size: tuple[int, int]) -> Bools:
+    """Which boxes (N, 4) px are of droplets that fill a frame of a size."""
+    return np.asarray(np.sqrt(boxes[:, 2:].prod(axis=1)) >= FILLING * min(size), bool)
+
+
+def _without_what_is_inside(boxes: Floats, evidence: Floats, size: tuple[int, int]) -> Floats:
+    """The evidence (N,), 0 of what lies in a droplet at least twice as large: cells, reflections.
+
+    And of what fills the frame and has droplets in it that are larger than it in a row: the view.
+    """
+    evidence = evidence.copy()
     inside = np.zeros(len(boxes), bool)
     corners = np.hstack([boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2])
     area = boxes[:, 2:].prod(axis=1)
+    fills = _fills(boxes, size)
     for outer in np.flatnonzero(evidence > CERTAIN):
         shared = np.minimum(corners[:, 2:], corners[outer, 2:]) - np.maximum(
             corners[:, :2], corners[outer, :2]
         )
         within = np.maximum(shared, 0).prod(axis=1) > MIN_INSIDE * area
-        inside |= within & (4 * area < area[outer])
-    return inside
+        within &= 4 * area < area[outer]
+        row = np.sqrt(area[within & (evidence > DOUBT)]).sum()
+        if fills[outer] and row > np.sqrt(area[outer]):
+            evidence[outer] = 0
+        else:
+            inside |= within
+    return np.where(inside, 0.0, evidence)

@@ -1,5 +1,6 @@
 """The scale that frames suggest: what a network sees again at other scales is a droplet."""
 
+import sys
 from collections.abc import Callable, Sequence
 
 import cv2
@@ -173,7 +174,31 @@ def test_images_whose_droplets_differ_in_size_are_told(other: int, differ: bool)
     assert not choice.levels
 
 
+@pytest.mark.parametrize(("n_inside", "fits"), [(0, 360), (3, 360), (60, 14)])
+def test_a_droplet_that_fills_the_frame_sets_the_scale_unless_it_is_the_view_of_others(
+    n_inside: int, fits: float
+) -> None:
+    """A ring of 360 px in a frame of 440, with discs of 14 px in it; at 0.3 the ring is known."""
+    image = np.zeros((440, 440), np.uint8)
+    cv2.circle(image, (220, 220), 178, 230, 5)
+    places = np.stack(np.meshgrid(*[np.arange(100, 350, 32)] * 2), axis=-1).reshape(-1, 2)
+    for x, y in np.random.default_rng(0).permutation(places)[:n_inside]:
+        cv2.circle(image, (x, y), 7, 230, -1)
+    choice = choose_scale([grey_frame(image)], Blobs(), default=1.5)  # type: ignore[arg-type]
+    assert KNOWN[0] <= fits * choice.scale <= KNOWN[1]
+
+
+def test_the_finest_scale_is_one_at_which_a_network_is_still_sure(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a detector that shows discs of 50 px at every scale up to 400 px of its input."""
+    monkeypatch.setattr(sys.modules[__name__], "KNOWN", (14, 400))
+    frame, _ = discs(25, (200, 200))
+    choice = choose_scale([frame], Blobs(), default=1.0)  # type: ignore[arg-type]
+    assert 100 <= 50 * choice.scale <= 180
+
+
 def test_scales_are_those_that_make_an_input_neither_tiny_nor_huge() -> None:
-    assert min(scales_for(4000, 3000, 0.3)) * 3000 >= 96
+    assert min(scales_for(4000, 3000, 0.3)) * 3000 >= 48
     assert max(scales_for(4000, 3000, 0.3)) ** 2 * 4000 * 3000 <= 9e6
-    assert scales_for(10, 10, 1.0) == []
+    assert scales_for(8, 8, 1.0) == []

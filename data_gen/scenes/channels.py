@@ -7,7 +7,7 @@ import numpy as np
 
 from data_gen.scenes.distances import Patch, patch_around, stadium_distance
 from data_gen.scenes.inclusions import paint_suspended
-from data_gen.scenes.outlines import SHAPE, Outline
+from data_gen.scenes.outlines import SHAPE, Outline, margin_of
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
 from data_gen.scenes.surroundings import draw_line, log_uniform, texture
 from droptrack.data.arrays import Float32s, Floats
@@ -201,11 +201,14 @@ def _plug(
     sides: float,
     *,
     labelled: bool,
-    margin: float = 4.0,
+    margin: float = 0.0,
 ) -> Iterator[Outline]:
-    """One plug of half sizes (2,) px, and `margin` px around it, if any of it is in the image."""
+    """One plug of half sizes (2,) px, if any of it is in the image.
+
+    Its patch has `margin` px more around it than any droplet's.
+    """
     radius = float(min(half)) * roundness
-    patch = patch_around(SHAPE, centre, float(np.hypot(*half)) + margin)
+    patch = patch_around(SHAPE, centre, float(np.hypot(*half)) + margin_of(half[1]) + margin)
     if patch.is_empty:
         return
     distance = stadium_distance(patch, centre, half, radius, angle)

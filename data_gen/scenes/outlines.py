@@ -17,6 +17,7 @@ from droptrack.data.arrays import Float32s, Floats
 SHAPE = (HEIGHT, WIDTH)
 MAX_NEIGHBOURS = 12  # of a droplet in a foam
 MAX_SUSPENDED = 900  # droplets of an image
+ROUND = 0.3  # share of packings whose droplets stay round, one rim over the other
 MAX_DEFOCUS = 0.55  # of a droplet's radius, above which it is a blur without a label
 
 
@@ -39,15 +40,20 @@ class Outline:
     defocus: float = 0.0
 
 
+def margin_of(radius: float) -> float:
+    """What may be seen of a droplet of a radius around its outline, px."""
+    return 4 + 0.1 * radius
+
+
 def ellipse(
-    rng: np.random.Generator, centre: Floats, radius: float, oblong: float, margin: float = 4.0
+    rng: np.random.Generator, centre: Floats, radius: float, oblong: float, margin: float = 0.0
 ) -> Outline:
     """An ellipse as large as a circle of the radius, `oblong` times as long as wide, turned.
 
-    Its patch has `margin` px around it.
+    Its patch has `margin` px more around it than any droplet's.
     """
     a, b = radius * np.sqrt(oblong), radius / np.sqrt(oblong)
-    patch = patch_around(SHAPE, centre, a + margin)
+    patch = patch_around(SHAPE, centre, a + margin_of(radius) + margin)
     angle = float(rng.uniform(0, np.pi))
     distance = ellipse_distance(patch, centre, a, b, angle)
     return Outline(
@@ -88,14 +94,17 @@ def suspension(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
         defocus = radius * abs(rng.normal(0, depth))
         centre = rng.uniform(0, [WIDTH, HEIGHT])
         oblong = 1.0 if rng.random() < 0.7 else float(rng.uniform(1, 1.5))
-        droplet = ellipse(rng, centre, radius, oblong, margin=4 + defocus)
+        droplet = ellipse(rng, centre, radius, oblong, margin=defocus)
         yield replace(droplet, defocus=defocus, labelled=defocus < MAX_DEFOCUS * radius)
 
 
 def packing(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
-    """A jittered hexagonal packing of about one size that fills a part of the image."""
+    """A jittered hexagonal packing of about one size that fills a part of the image.
+
+    Pressed flat where droplets meet, or round, and over one another.
+    """
     radius = log_uniform(rng, 6, 90)
-    spacing = radius * rng.uniform(1.85, 2.4)
+    spacing = radius * (rng.uniform(1.85, 2.4) if rng.random() < 0.6 else rng.uniform(1.9, 2.05))
     reach = int(WIDTH / spacing) + 2
     row, column = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
     points = np.column_stack([column + (row % 2) / 2, row * np.sqrt(0.75)]) * spacing
@@ -110,7 +119,11 @@ def packing(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
         normal /= np.hypot(*normal)
         inside &= (points - rng.uniform(0.2, 0.8, 2) * [WIDTH, HEIGHT]) @ normal > 0
     inside &= rng.random(len(points)) > rng.choice([0.0, 0.1, 0.4])
-    yield from _pressed(rng, points[inside], radii[inside])
+    if rng.random() < ROUND:
+        for point, one in zip(points[inside], radii[inside], strict=True):
+            yield ellipse(rng, point, float(one), 1.0)
+    else:
+        yield from _pressed(rng, points[inside], radii[inside])
 
 
 def foam(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
@@ -141,7 +154,7 @@ def _pressed(rng: np.random.Generator, points: Floats, radii: Floats) -> Iterato
     film = rng.uniform(0.3, 3) if rng.random() < 0.5 else rng.uniform(0, 0.12) * np.median(radii)
     for i in range(len(points)):
         point, radius = points[i], float(radii[i])
-        patch = patch_around(SHAPE, point, radius + 4)
+        patch = patch_around(SHAPE, point, radius + margin_of(radius))
         if patch.is_empty:
             continue
         apart = np.hypot(*(points - point).T)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_gen.scenes.appearance import paint, random_look
+from data_gen.scenes.appearance import Look, paint, random_look
 from data_gen.scenes.channels import Channel, draw_walls, forming_plug, random_walls
 from data_gen.scenes.confined import within_walls
 from data_gen.scenes.dataset import image_source
@@ -22,6 +22,7 @@ from data_gen.scenes.outlines import MAX_DEFOCUS, ellipse, suspension
 from data_gen.scenes.scene_kinds import HEIGHT, WIDTH
 from data_gen.scenes.surroundings import add_text
 from data_gen.scenes.windings import distance_from, winding
+from droptrack.data.arrays import Float32s
 from droptrack.data.frames import grey_frame
 from droptrack.data.normalisation import GENTLE, normalisation_for
 
@@ -86,7 +87,7 @@ def test_a_droplet_beyond_the_image_has_an_empty_patch_and_one_cut_ends_at_the_e
 def test_a_droplet_is_visible_on_its_background_and_changes_nothing_else(seed: int) -> None:
     rng = np.random.default_rng(seed)
     level = float(rng.uniform(15, 245))
-    look = random_look(rng, level)
+    look = replace(random_look(rng, level), halo=0.0)
     canvas = np.full(SHAPE, level, np.float32)
     outline = ellipse(rng, CENTRE, 30.0, 1.0, margin=20)
     patch, distance = outline.patch, outline.distance
@@ -98,13 +99,57 @@ def test_a_droplet_is_visible_on_its_background_and_changes_nothing_else(seed: i
     assert (canvas == np.float32(level)).all()
 
 
+def plain(**parts: float) -> Look:
+    """A look of what is named, and nothing else, with light from the right."""
+    none = dict.fromkeys(("fill", "rim", "second", "core", "texture", "inclusions"), 0.0)
+    sizes = {"rim_px": 4.0, "rim_share": 0.0, "second_at": 1.0, "core_size": 0.2, "soft": 1.0}
+    return Look(**{**none, **sizes, "shading": 0.0, "light": 0.0, **parts})
+
+
+def across(look: Look, radius: float = 30.0) -> Float32s:
+    """What a droplet adds to each pixel of the line through its centre, from left to right."""
+    canvas = np.zeros(SHAPE, np.float32)
+    outline = ellipse(np.random.default_rng(0), CENTRE, radius, 1.0)
+    paint(canvas, outline, look, np.random.default_rng(0))
+    return canvas[200, outline.patch.columns]
+
+
+@pytest.mark.parametrize("radius", [5.0, 30.0, 180.0])
+def test_a_halo_is_outside_the_outline_and_ends_where_the_drawing_does(radius: float) -> None:
+    levels = across(plain(halo=100.0), radius)
+    x = np.arange(len(levels)) - len(levels) // 2
+    assert levels[np.abs(x) < radius - 2].max() == 0
+    assert 50 < levels[np.abs(x) > radius].max() < 100
+    assert max(levels[0], levels[-1]) < 2
+
+
+def test_much_shading_turns_a_rim_round_on_the_other_side() -> None:
+    """28 of 30 px from the centre: 1 + 1.5 * 28 / 30 on one side, 1 - 1.5 * 28 / 30 opposite."""
+    levels = across(plain(rim=40.0, shading=1.5))
+    middle = len(levels) // 2
+    assert levels[middle + 28] / levels[middle - 28] == pytest.approx(2.4 / -0.4, rel=0.1)
+
+
+def test_a_tilted_filling_is_as_much_more_towards_the_light_as_less_away_from_it() -> None:
+    levels = across(plain(tilt=60.0))
+    middle = len(levels) // 2
+    assert levels[middle + 15] == pytest.approx(30, abs=2)
+    assert levels[middle - 15] == pytest.approx(-30, abs=2)
+
+
+def test_a_reflection_lies_towards_the_light() -> None:
+    """At 0.5 of a radius of 30 px; a lens's spot is in the middle."""
+    for core_at, wanted in ((0.0, 300), (0.5, 315)):
+        levels = across(plain(core=80.0, core_at=core_at))
+        first = ellipse(np.random.default_rng(0), CENTRE, 30.0, 1.0).patch.columns.start
+        assert first + levels.argmax() == pytest.approx(wanted, abs=1)
+        assert levels.max() == pytest.approx(80, rel=0.02)
+
+
 def test_out_of_focus_a_rim_is_wider_and_fainter_and_the_outline_stays() -> None:
     """A dark ring on grey: its strength falls to half where it is blurred by its own width."""
     rng = np.random.default_rng(0)
-    look = replace(
-        random_look(rng, 128), fill=0.0, rim=-100.0, rim_px=4.0, rim_share=0.0,
-        second=0.0, core=0.0, shading=0.0, soft=1.0, texture=0.0,
-    )  # fmt: skip
+    look = plain(rim=-100.0)
     sharp = ellipse(rng, CENTRE, 30.0, 1.0, margin=30)
     deepest, wide = [], []
     for outline in (sharp, replace(sharp, defocus=4.0)):

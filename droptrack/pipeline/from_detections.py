@@ -1,7 +1,8 @@
 """A file of detections -> tracks -> trajectories: no video, no network."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
 from itertools import islice
 from math import ceil
 from pathlib import Path
@@ -67,7 +68,7 @@ def track_detections(
     frames_that_exist: FrameList | None = None,
     *,
     first: int = 0,
-) -> Iterator[int]:
+) -> Generator[int]:
     """Track frame by frame into `results`; yields the number of frames done.
 
     `frames`: detections and their rows, as `mot_files.DetectionFile` gives them, from the frame
@@ -140,8 +141,10 @@ def run_detections(config: DetectionsConfig, say: Say = to_stderr) -> TrackingRu
         results = Results(rows, units=config.units)
         wanted = islice(_above(_all_frames(frames, there), config.score), config.max_frames or None)
         first = frames.first_frame - 1
-        for _ in track_detections(wanted, descriptors_of, tracker, results, there, first=first):
-            pass
+        done = track_detections(wanted, descriptors_of, tracker, results, there, first=first)
+        with closing(done):
+            for _ in done:
+                pass
     n_missing = 0 if there is None else int((~there.exists[1:]).sum())
     seconds = time.perf_counter() - began
     settings = {**about, "score": config.score, **tracker_settings}

@@ -5,7 +5,7 @@ decoded, and those before are drawn and written. Order is kept, and what waits i
 """
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from functools import partial
 from itertools import islice
 from time import perf_counter
@@ -109,7 +109,7 @@ def track_frames(
     log: DetectionLog | None = None,
     shape: bool = False,
     region: Region | None = None,
-) -> Iterator[int]:
+) -> Generator[int]:
     """Detect and track numbered frames into `results`; yields the number of frames done.
 
     `live`: no frame waits for others. When one is done, the newest goes next, and those that came

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import islice
@@ -294,7 +294,8 @@ def _track(
             region=opened.stop.region if opened.stop else opened.network.region,
         )
         try:
-            _show_progress(done, opened.n_frames(config.max_frames), progress)
+            with closing(done):  # it writes what it holds, also if the end comes in between
+                _show_progress(done, opened.n_frames(config.max_frames), progress)
         except KeyboardInterrupt:
             problem = InterruptedRunError(f"interrupted after {results.n_frames} frames")
         except DroptrackError as error:

@@ -15,10 +15,12 @@ from droptrack.data.frames import Frame
 from droptrack.data.trajectories import read_trajectories
 from droptrack.data.video import Video
 from droptrack.detection.engines.opencv_dnn import has_cuda
+from droptrack.errors import InterruptedRunError
 from droptrack.measurement.droplets import Measured, measure_droplets
 from droptrack.network.bundled import BUNDLED, BUNDLED_WEIGHTS
 from droptrack.pipeline import loop as pipeline
 from droptrack.pipeline.config import TrackingConfig
+from droptrack.pipeline.run import run
 
 runner = CliRunner()
 
@@ -84,6 +86,24 @@ def test_ctrl_c_keeps_what_was_tracked(
     assert "interrupted after 5 frames" in message
     rows, _ = read_trajectories(tmp_path / "trajectories.csv")
     assert np.unique(rows.frame).tolist() == list(range(5))
+
+
+def test_an_end_that_comes_while_progress_is_shown_keeps_what_was_tracked(
+    sine: Path, tmp_path: Path
+) -> None:
+    """Then nothing of the loop is running; it still has frames of the video to write."""
+
+    def interrupted(n: int, _: int) -> None:
+        if n == 20:
+            raise KeyboardInterrupt
+
+    config = TrackingConfig(video=str(sine / "video.avi"), out=tmp_path / "out")
+    done = run(config, progress=interrupted)
+    n = int(read_trajectories(tmp_path / "out" / "trajectories.csv")[0].frame.max()) + 1
+    assert n >= 20
+    assert isinstance(done.problem, InterruptedRunError)
+    assert f"interrupted after {n} frames" in str(done.problem)
+    assert len(list(Video(str(tmp_path / "out" / "tracked.mp4")))) == n
 
 
 def test_frames_that_cannot_be_decoded_are_counted_and_said(sine: Path, tmp_path: Path) -> None:

@@ -119,8 +119,8 @@ def _random_core(rng: np.random.Generator) -> tuple[float, float, float]:
     return float(rng.uniform(30, 150)), float(rng.uniform(0.06, 0.3)), float(rng.uniform(0.2, 0.7))
 
 
-def paint(canvas: Float32s, outline: Outline, look: Look, rng: np.random.Generator) -> None:
-    """Draw a droplet onto the canvas (H, W) of grey levels, in place."""
+def paint(canvas: Float32s, outline: Outline, look: Look, rng: np.random.Generator) -> Float32s:
+    """Draw a droplet onto the canvas (H, W) of grey levels, in place; what its patch got of it."""
     patch, distance, radius = outline.patch, outline.distance, outline.radius
     soft = np.float32(look.soft + outline.defocus)
     inside = np.clip(np.float32(0.5) - distance / soft, 0, 1)
@@ -149,6 +149,7 @@ def paint(canvas: Float32s, outline: Outline, look: Look, rng: np.random.Generat
     if look.texture and min(view.shape) > 8:
         levels += inside * texture(rng, view.shape, 12) * np.float32(look.texture)
     view += levels
+    return np.asarray(levels, np.float32)
 
 
 def _towards_light(outline: Outline, look: Look) -> Float32s:

@@ -81,7 +81,7 @@ class Recipe:
     seed: int
     degraded: float = 0.0  # share of the images
     jpeg_quality: int = JPEG_QUALITY
-    format: int = 7  # to be raised when the same seed gives other images
+    format: int = 8  # to be raised when the same seed gives other images
 
     def kinds(self) -> tuple[str, ...]:
         """The names of the scenes that take turns."""

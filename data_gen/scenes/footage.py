@@ -43,6 +43,8 @@ from droptrack.data.normalisation import GENTLE, normalisation_for
 
 MIN_VISIBLE = 0.3
 MIN_SIDE = 6.0  # px, of a box: smaller droplets cannot be told from dust
+LEAST_LEFT = 0.25  # of the contrast of a droplet, for one that is hidden or blurred to have a label
+LEAST_LEVELS = 4  # that an image must show of a droplet: what is all white or black has no label
 FAINT = 0.1  # share of images whose droplets are much fainter than their surroundings
 
 
@@ -59,14 +61,14 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     stop = field_stop(rng, SHAPE) if rng.random() < (0.25 if name == "plugs" else 0.1) else None
     if rng.random() < (0.25 if name == "empty" else 0.08):
         draw_winding(rng, canvas)
-    boxes = []
+    drawn = []
     for outline in ARRANGEMENTS[name](rng, canvas):
-        paint(canvas, outline, look, rng)
+        drawn.append((outline, paint(canvas, outline, look, rng)))
         if rng.random() < look.inclusions:
             paint_inside(canvas, outline, look.cell_px, rng)
-        box = visible_box(outline, stop)
-        if box is not None:
-            boxes.append(box)
+    least = LEAST_LEFT * look.contrast
+    seen = [outline for outline, levels in drawn if _span(canvas, outline, levels) >= least]
+    boxes = [box for outline in seen if (box := visible_box(outline, stop)) is not None]
     add_dirt(rng, canvas)
     if rng.random() < 0.3:
         vignette(rng, canvas)
@@ -82,7 +84,23 @@ def footage_scene(name: str, rng: np.random.Generator) -> Scene:
     else:
         image = _photograph(rng, canvas, faint=0.4 if name == "empty" else 0.12)
     image = _as_shown(image)
+    boxes = [box for box in boxes if np.ptp(_around(image, box)) >= LEAST_LEVELS]
     return Scene(image, np.array(boxes).reshape(-1, 4))
+
+
+def _span(canvas: Float32s, outline: Outline, levels: Float32s) -> float:
+    """The grey levels that a droplet spans where others, black or white, lie over it and below."""
+    if not levels.size:
+        return 0.0
+    view = canvas[outline.patch.rows, outline.patch.columns]
+    return float(np.ptp(np.clip(view, 0, 255) - np.clip(view - levels, 0, 255)))
+
+
+def _around(image: Pixels, box: Floats) -> Pixels:
+    """What an image (H, W) shows in a box and two pixels around it."""
+    low = np.maximum((box[:2] - box[2:] / 2).astype(int) - 2, 0)
+    x, y = (box[:2] + box[2:] / 2).astype(int) + 3
+    return image[low[1] : y, low[0] : x]
 
 
 def visible_box(outline: Outline, stop: Bools | None) -> Floats | None:

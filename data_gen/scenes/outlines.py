@@ -18,7 +18,7 @@ SHAPE = (HEIGHT, WIDTH)
 MAX_NEIGHBOURS = 12  # of a droplet in a foam
 MAX_SUSPENDED = 900  # droplets of an image
 ROUND = 0.3  # share of packings whose droplets stay round, one rim over the other
-MAX_DEFOCUS = 0.55  # of a droplet's radius, above which it is a blur without a label
+MAX_DEFOCUS = 1.1  # of a droplet's radius, above which it is a blur without a label
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +86,7 @@ def suspension(rng: np.random.Generator, canvas: Float32s) -> Iterator[Outline]:
     """Droplets or bubbles of all sizes at all depths: many over others, some out of focus."""
     typical = log_uniform(rng, 4, 25)
     spread = rng.uniform(0.3, 0.9)
-    depth = rng.uniform(0, 0.5)
+    depth = rng.uniform(0, 0.7)
     covered = log_uniform(rng, 0.05, 1.2) * WIDTH * HEIGHT
     n = int(covered / (np.pi * typical**2 * np.exp(2 * spread**2)))
     for _ in range(min(n, MAX_SUSPENDED) + 1):

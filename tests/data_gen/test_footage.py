@@ -169,6 +169,48 @@ def test_blurs_have_no_label() -> None:
     assert all(o.labelled == (o.defocus < MAX_DEFOCUS * o.radius) for o in outlines)
 
 
+@pytest.mark.parametrize(
+    ("look", "defocus", "labelled"),
+    [
+        (plain(fill=-400.0), 0.0, [True, True, False]),  # black on black shows nothing
+        (plain(fill=-40.0), 0.0, [True, True, True]),  # what is grey gets darker
+        (plain(fill=-40.0), 20.0, [True, True, True]),
+        (plain(rim=-40.0), 20.0, [False, False, False]),  # a rim of 4 px keeps a sixth: 4 / 24
+        (plain(rim=-40.0), 6.0, [True, True, True]),  # and here 4 / 10
+    ],
+)
+def test_only_what_can_be_seen_of_a_droplet_has_a_label(
+    look: Look, defocus: float, labelled: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A large droplet, one beside it, and one that lies before it."""
+    rng = np.random.default_rng(0)
+    places = [([400.0, 300.0], 90.0), ([700.0, 300.0], 30.0), ([400.0, 300.0], 30.0)]
+    outlines = [
+        replace(ellipse(rng, np.array(centre), radius, 1.0, margin=defocus), defocus=defocus)
+        for centre, radius in places
+    ]
+    monkeypatch.setitem(ARRANGEMENTS, "three", lambda *_: iter(outlines))
+    grey = np.full(SHAPE, 128, np.float32)
+    monkeypatch.setattr("data_gen.scenes.footage.background", lambda *_: (grey, 128.0))
+    monkeypatch.setattr("data_gen.scenes.footage.random_look", lambda *_: look)
+    boxes = footage_scene("three", np.random.default_rng(1)).boxes
+    wanted = [[*at, 2 * r, 2 * r] for (at, r), one in zip(places, labelled, strict=True) if one]
+    np.testing.assert_allclose(boxes, np.array(wanted).reshape(-1, 4), atol=0.1)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("packing", [9, 20]), ("stream", [5, 0, 0])])
+def test_what_the_camera_shows_all_white_has_no_label(name: str, seed: list[int]) -> None:
+    """Droplets in a part of an image, or in all of it, are brighter than its white."""
+    scene = footage_scene(name, np.random.default_rng(seed))
+    assert (scene.image == 255).mean() > 0.05
+    for x, y, w, h in scene.boxes:
+        rows, columns = (
+            slice(max(0, int(middle - size / 2) - 3), int(middle + size / 2) + 4)
+            for middle, size in ((y, h), (x, w))
+        )
+        assert (scene.image[rows, columns] < 255).any()
+
+
 def test_faint_images_are_drawn_as_a_network_is_shown_them() -> None:
     """Contrasts below 32 levels are stretched, up to 4 times: no drawn image is left as faint."""
     for name in ("empty", "foam"):

@@ -43,3 +43,16 @@ def test_sizes_without_labels_have_no_score() -> None:
     scores = score_set([one], SetRules(), lambda _: TRUTH[:2])
     assert scores.ap50_of_sizes[0] == pytest.approx(1)
     assert np.isnan(scores.ap50_of_sizes[1:]).all()
+
+
+def test_a_label_is_found_by_centre_by_one_box_only() -> None:
+    """A box in half a label is found by its centre only; one box finds one of two labels."""
+    small = (155, 55, 8, 0.9)  # of 20 px: an IoU of 0.16
+    two = (152, 50, 20, 0.8)  # of the same label
+    unsure = (100, 150, 60, 0.3)
+    scores = score_set([IMAGE], SetRules(), lambda _: boxes_of([small, two, unsure]))
+    assert scores.by_centre == pytest.approx(1 / 4)
+    over = boxes_of([(50, 50, 20, 1), (52, 50, 20, 1)])
+    one = LabelledImage(Path("one.png"), IMAGE.image, over)
+    assert score_set([one], SetRules(), lambda _: over).by_centre == pytest.approx(1)
+    assert score_set([one], SetRules(), lambda _: over[:1]).by_centre == pytest.approx(1 / 2)

@@ -17,7 +17,10 @@ def paint_inside(
     """A few small things inside a droplet, and sometimes a large one, in place.
 
     Or, where `cell_px` is above zero and they fit, up to MAX_CELLS cells of about that radius.
+    Nothing in a droplet beyond the canvas.
     """
+    if outline.patch.is_empty:
+        return
     if 0 < cell_px < MAX_CELL * outline.radius:
         _paint_cells(canvas, outline, cell_px, rng)
         return

@@ -246,6 +246,14 @@ def test_cells_lie_inside_the_droplet_that_they_fit_in() -> None:
     assert np.pi * 3**2 < min(areas) < 3 * np.pi * 8**2
 
 
+@pytest.mark.parametrize("cell_px", [0.0, 4.0])
+def test_nothing_is_painted_into_a_droplet_beyond_the_image(cell_px: float) -> None:
+    rng = np.random.default_rng(0)
+    canvas = np.zeros(SHAPE, np.float32)
+    paint_inside(canvas, ellipse(rng, np.array([-300.0, 100.0]), 60.0, 1.0), cell_px, rng)
+    assert not canvas.any()
+
+
 def test_a_winding_channel_has_its_width_everywhere() -> None:
     """Two parts along x, 200 px long and 60 px apart, 24 px wide: distances by hand."""
     course = winding(n=2, length=200, apart=60) + CENTRE

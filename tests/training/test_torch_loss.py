@@ -10,8 +10,10 @@ torch = pytest.importorskip("torch", reason="needs the extra [train]")
 
 from droptrack.data.detections import iou_matrix
 from droptrack.network.darknet_cfg import Cfg, read_cfg, with_options, yolo_heads
+from droptrack.training.pytorch import loss as loss_module
 from droptrack.training.pytorch.loss import darknet_loss, yolo_loss
 
+needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU with CUDA")
 SMALL = Path(__file__).parents[1] / "reference/small-yolov3.cfg"
 
 
@@ -49,10 +51,11 @@ def darknet_deltas(
                     np.exp(raw[a, 3, j, i]) * head.anchors[a, 1] / height,
                 ]
                 ious = iou_matrix(np.array([box]), truths[:, 1:])[0]
+                best = ious.max(initial=0)
                 delta[a, 4, j, i] = -sigmoid[a, 4, j, i]
-                if ious.max() > 0.5 and sigmoid[a, 5, j, i] > 0.25:
+                if best > 0.5 and sigmoid[a, 5, j, i] > 0.25:
                     delta[a, 4, j, i] = 0
-                if ious.max() > truth_thresh:
+                if best > truth_thresh:
                     answer(a, j, i, truths[ious.argmax()])
     for truth in truths:
         shapes = np.hstack(
@@ -64,31 +67,39 @@ def darknet_deltas(
     return delta
 
 
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=needs_gpu)])
+@pytest.mark.parametrize("max_pairs", [1, 2**24])  # image by image, all at once
 @pytest.mark.parametrize("truth_thresh", ["1", "0.55"])
-def test_gradient_of_the_loss_is_what_darknet_writes_down(truth_thresh: str) -> None:
+def test_gradient_of_the_loss_is_what_darknet_writes_down(
+    truth_thresh: str, max_pairs: int, device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loss_module, "MAX_PAIRS", max_pairs)
+    monkeypatch.setattr(loss_module, "MAX_PAIRS_GPU", max_pairs)
     cfg = with_options(read_cfg(SMALL), {}, {"truth_thresh": truth_thresh})
     rng = np.random.default_rng(3)
-    raw = rng.normal(0, 1.5, (2, 3, 6, 8, 12))
+    raw = rng.normal(0, 1.5, (3, 3, 6, 8, 12))
     truths = [
         np.array(
             [[0, 0.31, 0.42, 0.11, 0.17], [0, 0.32, 0.43, 0.12, 0.17], [0, 0.8, 0.2, 0.5, 0.7]]
         ),
+        np.empty((0, 5)),
         np.array([[0, 0.11, 0.92, 0.06, 0.1]]),
     ]
-    for image in range(2):  # some predictions right on a ground truth, so that they are ignored
+    for image in range(3):  # some predictions right on a ground truth, so that they are ignored
         raw[image, 1, 2:4, 4:6, 3:6] = 0.1
     batch = np.concatenate([np.column_stack([np.full(len(t), i), t]) for i, t in enumerate(truths)])
-    maps = torch.tensor(raw, dtype=torch.float64, requires_grad=True)
-    loss = yolo_loss(cfg, [maps], torch.tensor(batch))
+    maps = torch.tensor(raw, dtype=torch.float64, device=device, requires_grad=True)
+    loss = yolo_loss(cfg, [maps], torch.tensor(batch, device=device))
     loss.total.backward()  # type: ignore[no-untyped-call]
-    expected = np.stack([darknet_deltas(cfg, raw[i], truths[i]) for i in range(2)])
+    expected = np.stack([darknet_deltas(cfg, raw[i], truths[i]) for i in range(3)])
     answering = (expected[:, :, 4] > 0).sum()
     assert answering == 2 if truth_thresh == "1" else answering > 2
     assert (expected[:, :, 4] == 0).any() or truth_thresh != "1"
-    np.testing.assert_allclose(-2 * maps.grad.numpy(), expected, atol=2e-5)  # a mean over 2 images
+    # a mean over 3 images
+    np.testing.assert_allclose(-3 * maps.grad.cpu().numpy(), expected, atol=3e-5)
     # the first two ground truths share a cell and anchor
     assert loss.n_rewritten == 1 or truth_thresh != "1"
-    assert float(darknet_loss([maps])) == pytest.approx((expected**2).sum() / 2, rel=1e-5)
+    assert float(darknet_loss([maps])) == pytest.approx((expected**2).sum() / 3, rel=1e-5)
 
 
 def test_a_perfect_answer_costs_next_to_nothing() -> None:

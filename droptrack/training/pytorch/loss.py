@@ -7,7 +7,7 @@ Predictions whose IoU with a ground truth is above ``ignore_thresh`` are not pun
 there; those above ``truth_thresh`` answer for it, too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,6 +17,9 @@ from torch.nn import functional
 from droptrack.network.darknet_cfg import Cfg, Layer, YoloHead, yolo_heads
 from droptrack.network.torch_network import decode_boxes, head_grid
 
+# predictions times ground truths whose IoUs are computed at once: what fits into a core's cache, or
+# so many that a GPU waits for few commands
+MAX_PAIRS, MAX_PAIRS_GPU = 2**17, 2**24
 CONFIDENT = 0.25  # probability of a class, above which a good prediction is not punished
 
 
@@ -132,18 +135,44 @@ def _best_ious(raw: Tensor, head: YoloHead, truths: Tensor) -> tuple[Tensor, Ten
     area = (high - low).prod(dim=-1)
     best = torch.zeros_like(area)
     row = torch.zeros_like(area, dtype=torch.long)
-    for image in range(batch):
-        mine = torch.nonzero(truths[:, 0] == image)[:, 0]
-        if not len(mine):
-            continue
-        boxes = truths[mine, 2:]
-        b_low, b_high = boxes[:, :2] - boxes[:, 2:] / 2, boxes[:, :2] + boxes[:, 2:] / 2
+    by_image = truths[:, 0].argsort(stable=True)
+    counts = torch.bincount(truths[:, 0].long(), minlength=batch)
+    starts = counts.cumsum(0) - counts
+    max_pairs = MAX_PAIRS_GPU if raw.is_cuda else MAX_PAIRS
+    for images, most in _together(counts.tolist(), max_pairs // area.shape[1]):
+        # a row of each image's ground truths, the last again and again where others have more
+        nth = torch.arange(most, device=raw.device)
+        nth = torch.minimum(nth[None], counts[images][:, None] - 1)
+        mine = by_image[starts[images][:, None] + nth]  # (I, N)
+        boxes = truths[mine, 2:]  # (I, N, 4)
+        b_low, b_high = boxes[..., :2] - boxes[..., 2:] / 2, boxes[..., :2] + boxes[..., 2:] / 2
         shared = torch.ones((), device=raw.device)
         for axis in range(2):
-            end = torch.minimum(high[image, :, None, axis], b_high[None, :, axis])
-            begin = torch.maximum(low[image, :, None, axis], b_low[None, :, axis])
+            end = torch.minimum(high[images, :, None, axis], b_high[:, None, :, axis])
+            begin = torch.maximum(low[images, :, None, axis], b_low[:, None, :, axis])
             shared = shared * (end - begin).clamp_(min=0)
-        union = area[image, :, None] + boxes[:, 2:].prod(dim=1)[None] - shared
-        best[image], which = (shared / union).max(dim=1)
-        row[image] = mine[which]
+        union = area[images, :, None] + boxes[..., 2:].prod(dim=-1)[:, None] - shared
+        iou, which = (shared / union).max(dim=2)
+        best[images] = iou.to(best)
+        row[images] = mine.gather(1, which)
     return best.reshape(raw.shape[:4]), row.reshape(raw.shape[:4])
+
+
+def _together(counts: Sequence[int], at_most: int) -> Iterator[tuple[list[int], int]]:
+    """Images that have ground truths, in groups, and how many the one with the most has.
+
+    That times the images is at most so many, but for a group of one.
+
+    >>> list(_together([3, 0, 2, 9, 1], 6))
+    [([0, 2], 3), ([3], 9), ([4], 1)]
+    """
+    images: list[int] = []
+    most = 0
+    for image in (image for image, count in enumerate(counts) if count):
+        if images and (len(images) + 1) * max(most, counts[image]) > at_most:
+            yield images, most
+            images, most = [], 0
+        images.append(image)
+        most = max(most, counts[image])
+    if images:
+        yield images, most

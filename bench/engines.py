@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Annotated
@@ -135,6 +136,7 @@ def measure(cases: list[Case], video: Path, turns: int, folder: Path, batch: int
     for _ in range(turns):
         for case in (plain, *cases):
             run_case(case, video, folder, batch, measured[case.name])
+            console.print(f"{case.name}: {measured[case.name].rates[-1]:.1f} frames/s")
     table = Table("", "frames/s", "ratio", "all cores", *STAGES, title="ms a frame")
     for name, own in measured.items():
         ratios = [a / b for a, b in zip(own.rates, measured[plain.name].rates, strict=True)]
@@ -206,12 +208,14 @@ def cases_of(name: str, cfg: Cfg, weights: Path, n_frames: int) -> list[Case]:
 
 def random_full(folder: Path) -> tuple[Cfg, Path]:
     """The full YOLOv3 with random weights at FULL_SIZE, calibrated for speed only."""
-    from droptrack.detection.engines.openvino import output_ranges
-
     cfg = resized(read_cfg(BUNDLED / "yolov3.cfg"), *FULL_SIZE)
     weights = random_weights(cfg, np.random.default_rng(0))
     path = folder / "yolov3.weights"
     write_weights(path, weights)
+    if find_spec("openvino") is None:
+        return cfg, path
+    from droptrack.detection.engines.openvino import output_ranges
+
     shape = (cfg.height, cfg.width, 3)
     images = [np.random.default_rng(1).integers(0, 256, shape).astype(np.uint8)]
     ranges = merge_ranges(cfg, output_ranges(cfg, weights, quantised_layers(cfg), images))

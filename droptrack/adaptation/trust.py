@@ -7,7 +7,7 @@ it must teach nothing.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ STILL = 0.1  # of its size: as far as a thing at rest may seem to go
 MIN_TRACKED = 0.4  # share of the droplets that have tracks, in a video
 INSIDE, LARGER, SURER = 0.8, 4.0, 0.15  # share of a box's area; times its area; of its score
 COVERED = 0.5  # share of a doubtful box that trusted ones explain
+MUCH_SMALLER, FEW = 0.4, 0.1  # times the median diameter; share of the droplets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,9 +77,9 @@ def trust(footage: Footage, looks: Looks, progress: Iterable[Shot]) -> Trust:
         )
         n_sure = sum(int((one.scores >= SURE_SCORE).sum()) for one, _ in found.values())
         if by_tracks.n_droplets >= MIN_TRACKED * n_sure and by_tracks.n_droplets:
-            return by_tracks
+            return replace(by_tracks, seen=tuple(_few_small_ones_doubted(by_tracks.seen)))
     seen = [_trust_looks(shot, *found[id(shot)]) for shot in footage.used]
-    return Trust(seen=tuple(seen), by_tracks=False, n_tracks=0)
+    return Trust(seen=tuple(_few_small_ones_doubted(seen)), by_tracks=False, n_tracks=0)
 
 
 def of_labels(labelled: Sequence[LabelledShot]) -> list[Seen]:
@@ -107,6 +108,28 @@ def _seen(shot: Shot, trusted: Floats, scores: Floats, others: Detections) -> Se
         trusted=trusted,
         doubtful=doubtful[covered(doubtful, trusted) < COVERED],
     )
+
+
+def _few_small_ones_doubted(seen: Sequence[Seen]) -> list[Seen]:
+    """Droplets much smaller than most in all images are doubtful where they are few.
+
+    They may be cells or beads beside the droplets, which look like small ones. Where there are
+    many, the sizes differ.
+    """
+    diameters = [np.sqrt(one.trusted[:, 2:].prod(axis=1)) for one in seen]
+    whole = np.concatenate([of[one.whole] for of, one in zip(diameters, seen, strict=True)])
+    least = MUCH_SMALLER * np.median(whole) if len(whole) else 0.0
+    if (whole < least).sum() > FEW * len(whole):
+        return list(seen)
+    small = [(of < least) & one.whole for of, one in zip(diameters, seen, strict=True)]
+    return [
+        replace(
+            one,
+            trusted=one.trusted[~few],
+            doubtful=np.concatenate([one.doubtful, one.trusted[few]]),
+        )
+        for one, few in zip(seen, small, strict=True)
+    ]
 
 
 def _inside_others(boxes: Floats, scores: Floats) -> Bools:

@@ -9,7 +9,14 @@ import pytest
 from droptrack.adaptation.comparison import Quality, n_alike, verdict
 from droptrack.adaptation.footage import _choose, is_still
 from droptrack.adaptation.looking import covered, within
-from droptrack.adaptation.trust import _inside_others, _steady, _trust_tracks, track
+from droptrack.adaptation.trust import (
+    Seen,
+    _few_small_ones_doubted,
+    _inside_others,
+    _steady,
+    _trust_tracks,
+    track,
+)
 from droptrack.data.arrays import Floats
 from droptrack.data.detections import Detections
 from tests.adaptation.drawn import channel_image, shot_of
@@ -147,3 +154,21 @@ def test_cells_in_a_plug_are_nothing_and_cores_in_a_shell_are_droplets() -> None
     boxes = np.array([[100.0, 100, 120, 60], [90, 100, 20, 20], [120, 100, 25, 25]])
     assert _inside_others(boxes, np.array([0.9, 0.5, 0.85])).tolist() == [False, True, False]
     assert _inside_others(boxes, np.array([0.3, 0.5, 0.85])).tolist() == [False, False, False]
+
+
+@pytest.mark.parametrize(("n_plugs", "n_doubted"), [(20, 1), (8, 0)])
+def test_a_few_droplets_much_smaller_than_the_others_are_doubtful(
+    n_plugs: int, n_doubted: int
+) -> None:
+    """A cell beside 20 plugs is; one of nine droplets is not, nor what is left of a plug."""
+    plugs = np.tile([100.0, 100, 80, 40], (n_plugs, 1))
+    cell, cut = [60.0, 150, 16, 16], [1.0, 150, 2, 40]
+    shot = shot_of(np.zeros((200, 400), np.uint8), 0)
+    seen = [
+        Seen(shot=shot, trusted=plugs[1:], doubtful=np.array([cell])),
+        Seen(shot=shot, trusted=np.vstack([plugs[0], cell, cut]), doubtful=np.empty((0, 4))),
+    ]
+    first, second = _few_small_ones_doubted(seen)
+    assert len(first.trusted) == n_plugs - 1
+    assert second.doubtful.tolist() == [cell][:n_doubted]
+    assert second.trusted.tolist() == [plugs[0].tolist(), cell, cut][:: 1 + n_doubted]

@@ -335,7 +335,10 @@ def _with_shared(inner: Floats, outer: Floats, ends: Bools) -> tuple[Floats, Flo
 
 
 def _inner_crossings(heights: Floats, first: Rows, peak: Rows, limit: Floats) -> Floats:
-    """Where rays (R, 2 S) rise above a limit (R,), px, nearest before `peak` and after `first`."""
+    """Where rays (R, 2 S) rise above a limit (R,), px, nearest before `peak` and after `first`.
+
+    NaN where they do not, or are level there.
+    """
     n_steps = heights.shape[1] // 2
     steps = np.arange(n_steps)
     below = (steps >= first[:, None]) & (steps < peak[:, None])
@@ -347,6 +350,7 @@ def _inner_crossings(heights: Floats, first: Rows, peak: Rows, limit: Floats) ->
     with np.errstate(divide="ignore", invalid="ignore"):
         further = step + 0.5 + 0.5 * (limit - half) / (outer - half)
         nearer = step + 0.5 * (limit - here) / (half - here)
+    further[half == outer] = np.nan
     return np.where(below.any(axis=1), np.where(half < limit, further, nearer), np.nan)
 
 
@@ -369,7 +373,10 @@ def _at(heights: Floats, places: Rows) -> Floats:
 
 
 def _crossings(heights: Floats, start: Rows, limit: Floats) -> Floats:
-    """Where rays (R, 2 S) pass a limit (R,), px, outside the last px up to `start` above it."""
+    """Where rays (R, 2 S) pass a limit (R,), px, outside the last px up to `start` above it.
+
+    NaN where they do not, or are level there.
+    """
     n_steps = heights.shape[1] // 2
     steps = np.arange(n_steps)
     above = (steps <= start[:, None]) & (heights[:, ::2] >= limit[:, None])
@@ -380,4 +387,5 @@ def _crossings(heights: Floats, start: Rows, limit: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         further = step + 0.5 + 0.5 * (half - limit) / (half - outer)
         nearer = step + 0.5 * (here - limit) / (here - half)
+    further[half == outer] = np.nan
     return np.where(above.any(axis=1), np.where(half >= limit, further, nearer), np.nan)

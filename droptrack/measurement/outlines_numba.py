@@ -140,6 +140,8 @@ def _crossing(rays: Rays, ray: int, sign: float, limit: float, start: int, first
         if h >= limit:
             half, outer = sign * _level(rays, ray, j + 0.5), sign * profile[ray, j + 1]
             if half >= limit:
+                if half == outer:
+                    return NO_EDGE
                 return float(j + 0.5 + 0.5 * (half - limit) / (half - outer))
             return float(j + 0.5 * (h - limit) / (h - half))
     return NO_EDGE
@@ -209,6 +211,8 @@ def _inner_crossing(
         if here < limit:
             half, outer = sign * _level(rays, ray, j + 0.5), sign * profile[ray, j + 1]
             if half < limit:
+                if half == outer:
+                    return NO_EDGE
                 return float(j + 0.5 + 0.5 * (limit - half) / (outer - half))
             return float(j + 0.5 * (limit - here) / (half - here))
     return NO_EDGE

@@ -1,5 +1,6 @@
 """Which edge is the droplet's: that of a ring, outside, or of what is unlike its surroundings."""
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -123,3 +124,27 @@ def test_what_is_behind_the_surroundings_is_no_edge_of_a_filled_droplet() -> Non
     found = measure_droplets(grey_frame(canvas), ellipse_boxes(drawn) * [1, 1, 1.05, 1.2])
     assert not found.rings.any()
     assert diameters(found) == pytest.approx(2 * np.sqrt(60 * 35), rel=0.003)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("seed", [567, 6059, 6110])
+def test_where_a_ring_is_level_it_has_no_edge(seed: int) -> None:
+    """Rings in few grey levels, whose boxes are off: edges were infinitely far."""
+    rng = np.random.default_rng(seed)
+    image = np.full((70, 70), int(rng.integers(60, 200)), np.uint8)
+    n = int(rng.integers(1, 4))
+    levels = rng.integers(0, 255, 3).tolist()
+    centres, radii = rng.uniform(10, 60, (n, 2)), rng.uniform(8, 18, n)
+    for (x, y), radius in zip(centres.tolist(), radii.tolist(), strict=True):
+        draw_ellipses(image, np.array([[x, y, radius, radius * rng.uniform(0.6, 1), 0]]), levels[0])
+        draw_ellipses(image, np.array([[x, y, 0.7 * radius, 0.6 * radius, 0]]), levels[1])
+        if rng.random() < 0.5:
+            draw_ellipses(image, np.array([[x, y, 0.4 * radius, 0.4 * radius, 0]]), levels[2])
+    sides = [2 * radii * rng.uniform(0.7, 1.3, n) for _ in range(2)]
+    image = np.asarray(cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 3)), np.uint8)
+    step = int(rng.choice([8, 16, 24, 32]))
+    boxes = np.column_stack([centres, *sides])
+    boxes[:, 2:] *= rng.uniform(0.6, 1.5)
+    boxes[:, :2] += rng.normal(0, 3, (n, 2))
+    outlines = measure_droplets(grey_frame(image // step * step), boxes).outlines
+    assert not np.isinf(outlines).any()

@@ -16,6 +16,7 @@ from droptrack.adaptation.looking import Looks, covered, cut_by_edge, seen_in_al
 from droptrack.data.arrays import Bools, Floats
 from droptrack.data.detections import Detections, intersections
 from droptrack.data.trajectories import Trajectories
+from droptrack.detection.scale_choice import typical_diameter
 from droptrack.tracking.choice import TrackerConfig, choose_descriptor, make_tracker
 from droptrack.tracking.recorder import concatenated
 from droptrack.tracking.session import TrackingSession
@@ -33,7 +34,7 @@ STILL = 0.1  # of its size: as far as a thing at rest may seem to go
 MIN_TRACKED = 0.4  # share of the droplets that have tracks, in a video
 INSIDE, LARGER, SURER = 0.8, 4.0, 0.15  # share of a box's area; times its area; of its score
 COVERED = 0.5  # share of a doubtful box that trusted ones explain
-MUCH_SMALLER, FEW = 0.4, 0.1  # times the median diameter; share of the droplets
+MUCH_SMALLER, FEW = 0.4, 0.1  # times most of their diameters; share of the droplets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,17 +112,14 @@ def _seen(shot: Shot, trusted: Floats, scores: Floats, others: Detections) -> Se
 
 
 def _few_small_ones_doubted(seen: Sequence[Seen]) -> list[Seen]:
-    """Droplets much smaller than most in all images are doubtful where they are few.
+    """Droplets much smaller than most in their image are doubtful where they are few in all.
 
     They may be cells or beads beside the droplets, which look like small ones. Where there are
     many, the sizes differ.
     """
-    diameters = [np.sqrt(one.trusted[:, 2:].prod(axis=1)) for one in seen]
-    whole = np.concatenate([of[one.whole] for of, one in zip(diameters, seen, strict=True)])
-    least = MUCH_SMALLER * np.median(whole) if len(whole) else 0.0
-    if (whole < least).sum() > FEW * len(whole):
+    small = [_much_smaller(one) for one in seen]
+    if sum(few.sum() for few in small) > FEW * sum(len(few) for few in small):
         return list(seen)
-    small = [(of < least) & one.whole for of, one in zip(diameters, seen, strict=True)]
     return [
         replace(
             one,
@@ -130,6 +128,12 @@ def _few_small_ones_doubted(seen: Sequence[Seen]) -> list[Seen]:
         )
         for one, few in zip(seen, small, strict=True)
     ]
+
+
+def _much_smaller(one: Seen) -> Bools:
+    """Which droplets of an image are; none of those that an edge cuts."""
+    diameters, whole = np.sqrt(one.trusted[:, 2:].prod(axis=1)), one.whole
+    return np.asarray(whole & (diameters < MUCH_SMALLER * typical_diameter(diameters[whole])))
 
 
 def _inside_others(boxes: Floats, scores: Floats) -> Bools:

@@ -80,7 +80,7 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     if surest < (CLEAR if _share(clear) >= MOST else SURELY):
         return ScaleChoice(default)
     diameters = np.concatenate([one.diameters[one.evidence > DOUBT] for one in seen])
-    quality = _qualities(seen, SMALL * _typical(diameters))
+    quality = _qualities(seen, SMALL * typical_diameter(diameters))
     scale = _one_scale(quality, seen, clear)
     if scale is None:
         return ScaleChoice(default)
@@ -161,7 +161,7 @@ def _differ(seen: Sequence[Seen]) -> bool:
     Not where fewer than half of the frames have a droplet that is surely one.
     """
     typical = [
-        _typical(one.diameters[one.evidence >= CLEAR])
+        typical_diameter(one.diameters[one.evidence >= CLEAR])
         for one in seen
         if one.evidence.max(initial=0) >= SURELY
     ]
@@ -220,10 +220,10 @@ def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -
     return scales[last if scales[last] in whole else min(best, first + (last - first) // 2)]
 
 
-def _typical(diameters: Floats) -> float:
+def typical_diameter(diameters: Floats) -> float:
     """The diameter up to which half of the area of all is; 0 of none.
 
-    >>> _typical(np.array([1.0, 1, 1, 1, 10, 10, 30]))
+    >>> typical_diameter(np.array([1.0, 1, 1, 1, 10, 10, 30]))
     30.0
     """
     ordered = np.sort(diameters)

@@ -34,7 +34,7 @@ STILL = 0.1  # of its size: as far as a thing at rest may seem to go
 MIN_TRACKED = 0.4  # share of the droplets that have tracks, in a video
 INSIDE, LARGER, SURER = 0.8, 4.0, 0.15  # share of a box's area; times its area; of its score
 COVERED = 0.5  # share of a doubtful box that trusted ones explain
-MUCH_SMALLER, FEW = 0.4, 0.1  # times most of their diameters; share of the droplets
+MUCH_SMALLER, SMALLER, FEW = 0.4, 0.5, 0.1  # times most of their diameters; share of the droplets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,26 +114,28 @@ def _seen(shot: Shot, trusted: Floats, scores: Floats, others: Detections) -> Se
 def _few_small_ones_doubted(seen: Sequence[Seen]) -> list[Seen]:
     """Droplets much smaller than most in their image are doubtful where they are few in all.
 
-    They may be cells or beads beside the droplets, which look like small ones. Where there are
-    many, the sizes differ.
+    And none is of a size between. They may be cells or beads beside the droplets, which look like
+    small ones. Where there are many, or some of any size, the droplets' sizes differ.
     """
-    small = [_much_smaller(one) for one in seen]
-    if sum(few.sum() for few in small) > FEW * sum(len(few) for few in small):
+    sizes = [_relative_sizes(one) for one in seen]
+    whole = np.concatenate([np.zeros(0), *(of[~np.isnan(of)] for of in sizes)])
+    n_small, n_smaller = ((whole < limit).sum() for limit in (MUCH_SMALLER, SMALLER))
+    if n_small < n_smaller or n_small > FEW * len(whole):
         return list(seen)
     return [
         replace(
             one,
-            trusted=one.trusted[~few],
-            doubtful=np.concatenate([one.doubtful, one.trusted[few]]),
+            trusted=one.trusted[~(of < MUCH_SMALLER)],
+            doubtful=np.concatenate([one.doubtful, one.trusted[of < MUCH_SMALLER]]),
         )
-        for one, few in zip(seen, small, strict=True)
+        for one, of in zip(seen, sizes, strict=True)
     ]
 
 
-def _much_smaller(one: Seen) -> Bools:
-    """Which droplets of an image are; none of those that an edge cuts."""
-    diameters, whole = np.sqrt(one.trusted[:, 2:].prod(axis=1)), one.whole
-    return np.asarray(whole & (diameters < MUCH_SMALLER * typical_diameter(diameters[whole])))
+def _relative_sizes(one: Seen) -> Floats:
+    """The diameters (N,) of an image's droplets, most of them 1; NaN of those an edge cuts."""
+    diameters = np.where(one.whole, np.sqrt(one.trusted[:, 2:].prod(axis=1)), np.nan)
+    return np.asarray(diameters / (typical_diameter(diameters[one.whole]) or np.nan))
 
 
 def _inside_others(boxes: Floats, scores: Floats) -> Bools:

@@ -156,21 +156,26 @@ def test_cells_in_a_plug_are_nothing_and_cores_in_a_shell_are_droplets() -> None
     assert _inside_others(boxes, np.array([0.3, 0.5, 0.85])).tolist() == [False, False, False]
 
 
-@pytest.mark.parametrize(("n_images", "n_doubted"), [(20, 1), (7, 0)])
+@pytest.mark.parametrize(("n_images", "side", "n_doubted"), [(20, 40, 1), (6, 40, 0), (20, 25, 0)])
 def test_a_few_droplets_much_smaller_than_the_others_are_doubtful(
-    n_images: int, n_doubted: int
+    n_images: int, side: int, n_doubted: int
 ) -> None:
-    """One cell beside 20 plugs is; one of nine droplets is not, nor what is left of a plug.
+    """One cell beside 20 plugs is; one of seven droplets is not, nor where one is of half the size.
 
-    Nor a plug as small as the cell in an image that another lens took.
+    Nor what is left of a plug, nor a plug as small as the cell in an image that another lens took.
     """
     plug, cell, cut = [100.0, 100, 80, 40], [60.0, 150, 16, 16], [1.0, 150, 2, 40]
     shot = shot_of(np.zeros((200, 400), np.uint8), 0)
     seen = [
         Seen(shot=shot, trusted=np.array(boxes), doubtful=np.empty((0, 4)))
-        for boxes in ([plug, cell, cut], [cell], *([plug],) * (n_images - 2))
+        for boxes in (
+            [plug, cell, cut],
+            [cell],
+            [plug, [200.0, 100, side, side]],
+            *([plug],) * (n_images - 3),
+        )
     ]
     first, *others = _few_small_ones_doubted(seen)
     assert first.doubtful.tolist() == [cell][:n_doubted]
     assert first.trusted.tolist() == [plug, cell, cut][:: 1 + n_doubted]
-    assert all(len(one.trusted) == 1 for one in others)
+    assert not any(len(one.doubtful) for one in others)

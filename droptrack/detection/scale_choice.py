@@ -45,6 +45,7 @@ ALONE_PX = 150.0  # of that input; where the large ones have no more, one scale 
 LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coarser scale
 TOO_LARGE_PX = 240.0  # of an input: the network has learned to be silent about it
 UNSURE_PX = 180.0  # of an input, from which on it is less and less sure
+PLENTY_PX = 32.0  # of an input: where nine in ten clear droplets have more, a finer one is no use
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 
@@ -70,9 +71,10 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
 
     `detector`: on inputs of TILE x TILE px, without a canvas, with a threshold of MIN_SCORE. Of
     neighbouring scales as good as the best, within TOLERANCE, it is the finest, which draws tighter
-    boxes and finds smaller droplets; or the one that suits most of the clear droplets, if these are
-    of many sizes, and it is finer and about as good. Where detections of all scales are in doubt,
-    it is that one, if half of the frames have any.
+    boxes and finds smaller droplets, but none finer than the coarsest with PLENTY_PX for these; or
+    the one that suits most of the clear droplets, if these are of many sizes, and it is finer and
+    about as good. Where detections of all scales are in doubt, it is that one, if half of the
+    frames have any.
     """
     seen = [look_for_droplets(frame, detector, default) for frame in frames]
     clear = [one.diameters[one.evidence >= CLEAR] for one in seen]
@@ -106,7 +108,7 @@ def _one_scale(
     sure = {k: value for k, value in quality.items() if k * large <= UNSURE_PX}
     if max(sure.values(), default=0.0) < max(quality.values()) - TOLERANCE:
         sure = quality
-    scale = _finest_of_the_best(sure, whole)
+    scale = _finest_of_the_best(sure, whole, PLENTY_PX / small)
     as_good = quality[suiting] >= max(quality.values()) - FINER
     if large > SPREAD * small and suiting > scale and as_good:
         return suiting  # the largest droplets count most for the quality
@@ -196,9 +198,12 @@ def _qualities(seen: Sequence[Seen], tiny: float) -> dict[float, float]:
     }
 
 
-def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -> float:
+def _finest_of_the_best(
+    quality: dict[float, float], whole: Collection[float], plenty: float = math.inf
+) -> float:
     """The finest of the best scale and its neighbours that are as good: for small droplets, too.
 
+    Of those of at least `plenty` it is the coarsest: there the small ones are large enough.
     Where it is not `whole`, but looked at in some tiles only, half of the way to it, or the best if
     that is coarser: such inputs are large, and take long.
 
@@ -207,6 +212,8 @@ def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -
     (2.8, 1.4)
     >>> _finest_of_the_best({1.0: 1.0, 1.4: 0.98, 2.0: 0.98}, [])
     1.0
+    >>> _finest_of_the_best(quality, quality, plenty=1.2)
+    1.4
     """
     scales = list(quality)
     good = [quality[scale] >= max(quality.values()) - TOLERANCE for scale in scales]
@@ -217,6 +224,8 @@ def _finest_of_the_best(quality: dict[float, float], whole: Collection[float]) -
     last = best
     while last < len(scales) - 1 and good[last + 1]:
         last += 1
+    while last > first and scales[last - 1] >= plenty:
+        last -= 1
     return scales[last if scales[last] in whole else min(best, first + (last - first) // 2)]
 
 

@@ -45,7 +45,7 @@ ALONE_PX = 150.0  # of that input; where the large ones have no more, one scale 
 LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coarser scale
 TOO_LARGE_PX = 240.0  # of an input: the network has learned to be silent about it
 UNSURE_PX = 180.0  # of an input, from which on it is less and less sure
-PLENTY_PX = 32.0  # of an input: where nine in ten clear droplets have more, a finer one is no use
+PLENTY_PX = DIAMETER_PX  # of nine in ten clear droplets, which need no finer input
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 

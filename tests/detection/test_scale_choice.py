@@ -203,11 +203,11 @@ def test_the_finest_scale_is_one_at_which_a_network_is_still_sure(
 def test_large_droplets_get_the_coarsest_scale_at_which_they_are_large_enough(
     monkeypatch: pytest.MonkeyPatch, radius: int
 ) -> None:
-    """Of those at which a detector finds them: 32 px of the input, or up to a step more."""
+    """Of those at which a detector finds them: 40 px of the input, or up to a step more."""
     monkeypatch.setattr(sys.modules[__name__], "KNOWN", (14, 400))
     frame, _ = discs(radius, (16 * radius, 12 * radius))
     choice = choose_scale([frame], Blobs(), default=1.0)  # type: ignore[arg-type]
-    assert 31 <= 2 * radius * choice.scale <= 33 * STEP
+    assert 39 <= 2 * radius * choice.scale <= 41 * STEP
 
 
 def test_scales_are_those_that_make_an_input_neither_tiny_nor_huge() -> None:

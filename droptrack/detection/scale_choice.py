@@ -46,6 +46,7 @@ LARGE_PX = 110.0  # up to which it is for; that the large ones have at the coars
 TOO_LARGE_PX = 240.0  # of an input: the network has learned to be silent about it
 UNSURE_PX = 180.0  # of an input, from which on it is less and less sure
 PLENTY_PX = DIAMETER_PX  # of nine in ten clear droplets, which need no finer input
+SMALLEST_PX = 16.0  # of the coarser input, from which on it is for, where all scales are in doubt
 DIFFER = 1.8  # ratio of typical diameters, from which on images get a scale each
 
 
@@ -89,6 +90,8 @@ def choose_scale(frames: Iterable[Frame], detector: Detector, default: float) ->
     levels: tuple[tuple[Sizes, float], ...] = ()
     if max(quality.values()) < ENOUGH or _shown(seen, scale) < ENOUGH:
         levels = _two_levels(np.concatenate(clear), seen[0].size)
+    if not levels and max(quality.values()) < MIN_QUALITY:
+        levels = _levels_in_doubt(scale, np.concatenate(clear))
     return ScaleChoice(scale, quality, diameters, levels, _differ(seen))
 
 
@@ -155,6 +158,22 @@ def _two_levels(clear: Floats, size: tuple[int, int]) -> tuple[tuple[Sizes, floa
         return ()
     limit = LARGE_PX / fine
     return (Sizes(0.0, limit), fine), (Sizes(limit, math.inf), LARGE_PX / large)
+
+
+def _levels_in_doubt(fine: float, clear: Floats) -> tuple[tuple[Sizes, float], ...]:
+    """Two scales, the finer one given, for clear droplets of diameters (N,) px of many sizes.
+
+    >>> _levels_in_doubt(2.5, np.repeat([10.0, 16.0, 32.0], 20))
+    ((Sizes(smallest=0.0, largest=12.8), 2.5), (Sizes(smallest=12.8, largest=inf), 1.25))
+    >>> _levels_in_doubt(2.5, np.repeat([14.0, 16.0, 32.0], 20))
+    ()
+    """
+    small, large = np.quantile(clear, [0.1, 0.9]).tolist()
+    if len(clear) < MANY or large < SPREAD * small or DIAMETER_PX / large >= fine:
+        return ()
+    coarse = DIAMETER_PX / large
+    limit = SMALLEST_PX / coarse
+    return (Sizes(0.0, limit), fine), (Sizes(limit, math.inf), coarse)
 
 
 def _differ(seen: Sequence[Seen]) -> bool:

@@ -87,6 +87,23 @@ def test_clear_droplets_among_many_specks_still_get_a_scale() -> None:
         assert choice.scale == pytest.approx(wanted)
 
 
+@pytest.mark.parametrize(("n_specks", "large", "n_levels"), [(60, 24, 2), (60, 12, 0), (0, 24, 0)])
+def test_where_all_scales_are_in_doubt_droplets_of_many_sizes_get_two(
+    n_specks: int, large: int, n_levels: int
+) -> None:
+    """Discs of 16 px and some three times as large: a finer scale than for these alone."""
+    image, _ = discs(8, (300, 350))
+    larger, _ = discs(large, (900, 350))
+    frames = [np.hstack([image, larger])] * 2
+    choice = choose_scale(frames, Blobs(n_specks), default=1.6)  # type: ignore[arg-type]
+    assert len(choice.levels) == n_levels
+    if n_levels:
+        (smaller, fine), (rest, coarse) = choice.levels
+        assert fine == choice.scale > coarse == pytest.approx(20 / large, rel=0.1)
+        assert (smaller.smallest, rest.largest) == (0, np.inf)
+        assert smaller.largest == rest.smallest == pytest.approx(16 / coarse)
+
+
 @pytest.mark.parametrize(("n_empty", "score", "chosen"), [(0, 0.65, 1), (1, 0.65, 0), (2, 0.9, 1)])
 def test_what_few_frames_have_has_to_be_seen_more_surely(
     n_empty: int, score: float, chosen: int
